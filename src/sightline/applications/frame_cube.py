@@ -20,18 +20,23 @@ from sightline.errors import computes
 from sightline.execution import CpuClock, one_blas_thread, silent
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
+from sightline.photogrammetry.flight.path import stretches
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.rig import RigOffsets, given_offsets
 from sightline.photogrammetry.flight.solver import ground_distances
-from sightline.products.cube_bands import BandLayout
+from sightline.photogrammetry.sightings import Images
+from sightline.products.cube_bands import BandLayout, frame_bands
 from sightline.products.cube_fit import PairFit, error_map, fit_pairs
-from sightline.products.cube_grid import CubeGrid
+from sightline.products.cube_grid import CubeGrid, MapSystem
 from sightline.products.cube_ground import UsedGround, choose_ground, frame_outlines, given_heights
 from sightline.products.cube_plan import CubePlan, choose_bands, frame_views, map_of, pixel_size
 from sightline.products.cube_store import CubeStore, MemoryStore
 from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands, picture_factor
 from sightline.products.frame_cube import (
     CubeMaker,
+    FilledTile,
     FrameViews,
+    MapTile,
     covering_grid,
     line_gain,
     tiles_of,
@@ -183,6 +188,8 @@ def assemble_cube(
     outline, reach = frame_outlines(problem, system, ground, views)
     gsd = plan.gsd or pixel_size(problem, views, outline)
     layout = choose_bands(problem, plan, outline, gsd)
+    if problem.rig:
+        return _of_rig(problem, found, plan, store, report, clock, (views, ground, system, gsd, layout))
     grid = covering_grid(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd)
     channels = images_of(problem)
     report("cube: lines made alike", 0, 1)
@@ -190,6 +197,33 @@ def assemble_cube(
     gain = line_gain(channels, problem.detector.shape[0]) if by_line else None
     clock.note("lines made alike")
     maker = CubeMaker(grid, layout, views, reach, ground.heights, channels, gain)
+    tally = _filled(maker, store, grid, layout, plan, report)
+    clock.note("tiles")
+    before = _before(problem, plan, tally, grid, layout, ground, channels, gain, report)
+    clock.note("picture by the rough poses")
+    fits = _fits(store, layout, plan, report)
+    clock.note("bands matched")
+    unread = tuple(f"{problem.frames[k]}: {why}" for k, why in sorted(maker.unread.items()))
+    summary = _summary(problem, layout, grid, ground, tally, before, fits, unread, clock.seconds)
+    lost = int((problem.usable & np.isinf(views.penalty)).sum())
+    if not lost:
+        return summary
+    are = "frame is" if lost == 1 else "frames are"
+    words = (
+        f"{lost} {are} not used: no pose could be estimated from their images, and their tables are too rough"
+    )
+    return replace(summary, warnings=(*summary.warnings, words))
+
+
+def _filled(
+    maker: CubeMaker | RigCubeMaker,
+    store: CubeStore,
+    grid: CubeGrid,
+    layout: BandLayout,
+    plan: CubePlan,
+    report: Callable[[str, int, int], None],
+) -> CubeTally:
+    """All tiles made and stored, and what was counted of them."""
     tally = CubeTally(layout, grid, picture_bands(layout, plan.picture_nm) if plan.picture else ())
     store.begin(grid, layout)
     tiles = tiles_of(grid, layout)
@@ -203,25 +237,135 @@ def assemble_cube(
             store.write(tile.row, tile.column, filled.values)
             tally.add(filled)
         report("cube", done, len(tiles))
-    clock.note("tiles")
-    before = _before(problem, plan, tally, grid, layout, ground, channels, gain, report)
-    clock.note("picture by the rough poses")
+    return tally
+
+
+def _fits(
+    store: CubeStore, layout: BandLayout, plan: CubePlan, report: Callable[[str, int, int], None]
+) -> list[PairFit]:
+    """Bands matched with each other."""
     bands = [store.source(b) for b in range(len(layout))] if plan.fit else []
-    fits = fit_pairs(
+    return fit_pairs(
         bands, layout.wavelength_nm, lambda *done: report("cube: bands matched", *done),
         search_px=plan.fit_search_px,
     )  # fmt: skip
+
+
+def _of_rig(
+    problem: SequenceProblem,
+    found: SequencePoses,
+    plan: CubePlan,
+    store: CubeStore,
+    report: Callable[[str, int, int], None],
+    clock: CpuClock,
+    made: tuple[FrameViews, UsedGround, MapSystem, float, BandLayout],
+) -> CubeSummary:
+    """Orthomosaics of the bands of all cameras of a rig, each from its own images."""
+    first, ground, system, gsd, layout = made
+    offsets = given_offsets(problem.rig) if found.rig is None else found.rig.offsets
+    images = replace(
+        problem.images, position=found.poses.position, world_from_body=found.poses.world_from_body
+    )
+    views = rig_views(problem, images, offsets, first.penalty)
+    outlines = [frame_outlines(problem, system, ground, view) for view in views]
+    places = [o[np.isfinite(v.penalty)].reshape(-1, 2) for (o, _), v in zip(outlines, views, strict=True)]
+    grid = covering_grid(np.concatenate(places), system, gsd)
+    maker = RigCubeMaker(problem, grid, layout, views, [reach for _, reach in outlines], ground)
+    tally = _filled(maker, store, grid, layout, plan, report)
+    clock.note("tiles")
+    picture = CubePicture(grid, len(tally.rgb))
+    if plan.picture:
+        rough = rig_views(problem, problem.images, given_offsets(problem.rig), None)
+        given = UsedGround(
+            given_heights(ground.level or problem.surface, system), "", 0.0, level=ground.level
+        )
+        reaches = [frame_outlines(problem, system, given, view)[1] for view in rough]
+        three = layout.of(tally.rgb)
+        before = RigCubeMaker(problem, grid, layout, rough, reaches, given)
+        for tile in tiles_of(grid, three):
+            filled = before.fill(tile)
+            if filled is not None:
+                picture.add(filled, tally.rgb)
+    clock.note("picture by the rough poses")
+    fits = _fits(store, layout, plan, report)
     clock.note("bands matched")
     unread = tuple(f"{problem.frames[k]}: {why}" for k, why in sorted(maker.unread.items()))
-    summary = _summary(problem, layout, grid, ground, tally, before, fits, unread, clock.seconds)
-    lost = int((problem.usable & np.isinf(views.penalty)).sum())
-    if not lost:
-        return summary
-    are = "frame is" if lost == 1 else "frames are"
-    words = (
-        f"{lost} {are} not used: no pose could be estimated from their images, and their tables are too rough"
-    )
-    return replace(summary, warnings=(*summary.warnings, words))
+    return _summary(problem, layout, grid, ground, tally, picture, fits, unread, clock.seconds)
+
+
+def rig_views(
+    problem: SequenceProblem, captures: Images, offsets: RigOffsets, penalty: Array | None
+) -> list[FrameViews]:
+    """How the images of each camera of a rig see the world.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    captures : Images
+        Poses of the body.
+    offsets : RigOffsets
+    penalty : (M,) or None
+        What it costs to use each capture; a camera's image that cannot be used costs inf.
+    """
+    count, whole = len(captures), offsets.images(captures)
+    out = []
+    for c, camera in enumerate(problem.rig):
+        rows = slice(c * count, (c + 1) * count)
+        turn = (whole.world_from_body[rows] * camera.mount).inv().as_matrix()
+        # of the first camera the penalty says too that its image is lost, which is no fault of the others
+        cost = np.zeros(count) if penalty is None else np.where(problem.usable, penalty, 0.0)
+        out.append(
+            FrameViews(
+                offsets.detector(c, camera.detector),
+                whole.position[rows][:, None],
+                turn[:, None],
+                stretches(captures.t),
+                np.where(camera.usable, cost, np.inf),
+            )
+        )
+    return out
+
+
+class RigCubeMaker:
+    """Fills tiles of a map from the cameras of a rig, each band from its own."""
+
+    def __init__(
+        self,
+        problem: SequenceProblem,
+        grid: CubeGrid,
+        layout: BandLayout,
+        views: Sequence[FrameViews],
+        reaches: Sequence[Array],
+        ground: UsedGround,
+    ) -> None:
+        self._layout, self._makers, self._bands, first = layout, [], [], 0
+        for camera, view, reach in zip(problem.rig, views, reaches, strict=True):
+            nm = camera.channel_nm
+            own = frame_bands(view.detector.shape, None, nm or (camera.wavelength_nm,))
+            sources = camera.channels if nm else (camera.sources,)
+            self._makers.append(CubeMaker(grid, own, view, reach, ground.heights, sources))
+            self._bands.append(first + own.channel)
+            first += len(own)
+
+    @property
+    def unread(self) -> dict[int, str]:
+        """Captures of which an image could not be read, and why."""
+        return {frame: why for maker in self._makers for frame, why in maker.unread.items()}
+
+    def fill(self, tile: MapTile) -> FilledTile | None:
+        """All bands of a tile; None where no image shows it."""
+        parts = [maker.fill(tile) for maker in self._makers]
+        if all(part is None for part in parts):
+            return None
+        flat, size = (tile.rows, tile.columns), sum(len(bands) for bands in self._bands)
+        values = np.full((size, *flat), np.nan, dtype=np.float32)
+        view = np.full((len(parts), *flat), -1, dtype=np.int32)
+        passed, beyond = (np.zeros((len(parts), *flat), dtype=np.bool_) for _ in range(2))
+        for c, (part, bands) in enumerate(zip(parts, self._bands, strict=True)):
+            if part is not None:
+                values[bands] = part.values
+                view[c], passed[c], beyond[c] = part.view[0], part.passed[0], part.beyond[0]
+        return FilledTile(tile, values[self._layout.channel], view, passed, beyond)
 
 
 def found_views(problem: SequenceProblem, found: SequencePoses, plan: CubePlan | None = None) -> FrameViews:

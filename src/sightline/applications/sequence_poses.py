@@ -273,9 +273,7 @@ def _with_rig(
     def report(done: int, total: int) -> None:
         run.progress(RIG, done, total)
 
-    found = run.stages.stage(
-        "rig", RigAdjusted, lambda: solve_rig(problem, followed, poses, tracks, report)
-    )
+    found = run.stages.stage("rig", RigAdjusted, lambda: solve_rig(problem, followed, poses, tracks, report))
     run.note(RIG)
     return found
 

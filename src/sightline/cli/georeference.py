@@ -91,7 +91,8 @@ def georeference(
                 report(f"frames between the subset's by {method.value}")
                 found = interpolate_between(found, method.value)
         summary = Poses().render(found, folder, report, begun, maps=not poses_only, method=method.value)
-    lacking = summary["cube"] is None and sequence.cube.make and not poses_only
+    made = summary["cube"] is not None or summary["registered"] is not None
+    lacking = not made and sequence.cube.make and not poses_only
     if as_json:
         print_json(summary)
         if lacking:
@@ -123,6 +124,8 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
     say(_view_words(sequence, found))
     if summary["focal_length"] is not None:
         say(_focal_words(summary["focal_length"]))
+    for camera in (summary["rig"] or [])[1:]:
+        say(_camera_words(camera))
     seen = summary["sightings"]
     say(
         f"{seen['kept']} of {seen['tried']} sightings of {summary['points']} points kept, residual "
@@ -132,6 +135,24 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         tell_cube(summary["cube"])
     for note in summary["export_notes"]:
         say(note)
+
+
+def _camera_words(camera: dict[str, Any]) -> str:
+    """The offset of a camera of a rig."""
+    angles = ", ".join(
+        f"{math.degrees(value):.4f} +- {math.degrees(sigma):.4f}"
+        for value, sigma in zip(camera["orientation"], camera["orientation_sigma"], strict=True)
+    )
+    lever = ", ".join(
+        f"{1e3 * value:.1f} +- {1e3 * sigma:.1f}"
+        for value, sigma in zip(camera["position"], camera["position_sigma"], strict=True)
+    )
+    held = [name for name in camera["held"] if name in "xyz"]
+    return (
+        f"camera {camera['camera']}: turned by {angles} degrees, at {lever} mm from the first"
+        + (f" ({', '.join(held)} as given: not observable)" if held else "")
+        + f"; residual {camera['rms_px'] or math.nan:.3g} px rms"
+    )
 
 
 def _view_words(sequence: FrameSequence, found: SequencePoses) -> str:

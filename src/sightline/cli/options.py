@@ -26,7 +26,8 @@ STEREO_CASES = (
 )  # fmt: skip
 #: Cases of flights of filter cameras.
 SEQUENCE_CASES = (
-    "lvf", "stepwise", "mosaic", "rgb", "pan", "small", "cube-60", "two-lines", "long", "aircraft", "cubesat",
+    "lvf", "stepwise", "mosaic", "rgb", "pan", "small", "cube-60", "two-lines", "long", "rig", "aircraft",
+    "cubesat",
 )  # fmt: skip
 #: What stands at the end of --help of each command: it can be typed as it stands, in this order; `layout`,
 #: `noise` and `match` take files of the user's own.

@@ -12,8 +12,8 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TypeVar, get_args
+from types import MappingProxyType, UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -272,10 +272,28 @@ def _unknown_keys(
         items = value if isinstance(value, list) else [value]
         for index, item in enumerate(items):
             if isinstance(item, dict):
-                inner = _model_of(fields[key].annotation, item)
+                annotation = _as_given(fields[key].annotation, listed=isinstance(value, list))
+                inner = _model_of(annotation, item)
                 if inner is not None:
                     place = (*where, key, index) if isinstance(value, list) else (*where, key)
-                    yield from _unknown_keys(inner, item, place, _other_kinds(fields[key].annotation))
+                    yield from _unknown_keys(inner, item, place, _other_kinds(annotation))
+
+
+def _as_given(annotation: Any, *, listed: bool) -> Any:
+    """Of a type that takes one table or several of other keys, the part for what is given."""
+    parts = {get_origin(part) is list: part for part in _parts(annotation) if list(_models_in(part))}
+    return parts.get(listed, annotation) if len(parts) == 2 else annotation
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """The types that a union takes, without what is annotated of them."""
+    if get_origin(annotation) is Annotated:
+        yield from _parts(get_args(annotation)[0])
+    elif get_origin(annotation) in (Union, UnionType):
+        for part in get_args(annotation):
+            yield from _parts(part)
+    else:
+        yield annotation
 
 
 def _other_kinds(annotation: Any) -> dict[str, str]:

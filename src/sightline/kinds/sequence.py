@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sightline.applications.frame_cube import CubeSummary
+from sightline.applications.rig_bands import registered_bands
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
 from sightline.io.acquisition.schema import WorldSection
@@ -20,6 +21,7 @@ from sightline.io.results.cube_summary import cube_summary, earlier_cube, remove
 from sightline.io.results.exports import Exported
 from sightline.io.results.line_of_sight import write_json
 from sightline.io.results.poses import POSES, SIGMAS, in_table_axes, read_pose_covariance
+from sightline.io.results.rig import write_registered
 from sightline.io.results.sequence import write_sequence_result
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.schema import CubeSection
@@ -55,7 +57,8 @@ class Poses(ResultKind):
     table, index = "poses", ("frame",)
     files = (
         "poses.csv", "covariance.npz", "frames_used.csv", "colmap/*", "reconstruction.json", "opk.csv",
-        "ypr.csv", "geo.txt", "footprints.geojson", *_CUBE_FILES, SUMMARY, REPORT,
+        "ypr.csv", "geo.txt", "footprints.geojson", "rig.csv", "registered.tif", *_CUBE_FILES, SUMMARY,
+        REPORT,
     )  # fmt: skip
     units = {
         "t": "s", **dict.fromkeys("xyz", "m"), **dict.fromkeys(("roll", "pitch", "yaw"), "rad"),
@@ -148,9 +151,13 @@ class Poses(ResultKind):
     ) -> dict[str, Any]:
         """Every file; `maps` as ``[cube]`` asks for them. Those that cannot be made are a warning."""
         sequence = sequence_of(result)
-        more: dict[str, Any] = {"method": method, "cube": None}
+        more: dict[str, Any] = {"method": method, "cube": None, "registered": None}
         view, spent = None, None
-        if maps and sequence.cube.make:
+        one = result.rig is not None and len(sequence.problem) == 1
+        if one and maps and sequence.cube.make:
+            tell("bands laid on the first camera")
+            more["registered"] = write_registered(folder, registered_bands(sequence.problem, result))
+        elif maps and sequence.cube.make:
             try:
                 made, files = write_cube(folder, sequence, result, progress=tell)
                 more["cube"], view, spent = cube_summary(made, files), cube_view(made), made.seconds

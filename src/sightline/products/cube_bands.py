@@ -262,3 +262,43 @@ def frame_bands(
         frozen(np.full(lines, 0.5 * lines)),
         np.zeros(lines, dtype=np.bool_),
     )
+
+
+def camera_bands(
+    names: Sequence[str], wavelength_nm: Sequence[float], camera: Sequence[int], lines: int
+) -> BandLayout:
+    """Bands that cameras of a rig show, each of whole frames; a group per camera.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the bands.
+    wavelength_nm : sequence of float
+        NaN: all light.
+    camera : sequence of int
+        Which camera shows each.
+    lines : int
+        Of a frame.
+
+    Returns
+    -------
+    BandLayout
+        By wavelength, those of all light last. `channel` numbers the bands as they are given here.
+    """
+    nm = np.asarray(wavelength_nm, dtype=np.float64)
+    order = np.argsort(nm, kind="stable")
+    cameras = np.asarray(camera, dtype=np.int64)
+    count = int(cameras.max()) + 1
+    return BandLayout(
+        tuple(names[k] for k in order),
+        frozen(nm[order]),
+        cameras[order],
+        order.astype(np.int64),
+        np.zeros((len(nm), 2), dtype=np.int64),
+        (1, 1),
+        np.arange(0, count * lines + 1, count, dtype=np.int64),
+        np.tile(np.arange(count, dtype=np.int64), lines),
+        frozen(np.full(count * lines, 0.5 * (lines - 1))),
+        frozen(np.full(count * lines, 0.5 * lines)),
+        np.zeros(count * lines, dtype=np.bool_),
+    )

@@ -18,7 +18,7 @@ from sightline.photogrammetry.flight.path import stretches
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.rolling_shutter import line_poses
 from sightline.photogrammetry.sightings import Images
-from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
+from sightline.products.cube_bands import BandLayout, camera_bands, frame_bands, line_bands
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
 from sightline.products.cube_ground import UsedGround, frame_outlines, given_heights
 from sightline.products.frame_cube import FrameViews, covering_grid
@@ -201,7 +201,11 @@ def choose_bands(
             plan.fill_nm,
             lines_per_step=plan.lines_per_step,
         )
-    layout = frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
+    layout = (
+        rig_bands(problem)
+        if problem.rig
+        else frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
+    )
     if plan.bands is None:
         return layout
     wanted = plan.bands if not isinstance(plan.bands, int) else ()
@@ -215,6 +219,18 @@ def choose_bands(
             f"({', '.join(layout.names)}), got {plan.bands}"
         )
     return layout.of(there)
+
+
+def rig_bands(problem: SequenceProblem) -> BandLayout:
+    """Bands of all cameras of a rig; `channel` counts the channels of all cameras in their order."""
+    names, nm, cameras = [], [], []
+    for number, camera in enumerate(problem.rig):
+        for value in camera.channel_nm or (camera.wavelength_nm,):
+            several = len(camera.channel_nm) > 1
+            names.append(f"{camera.name} {value:g} nm" if several else camera.name)
+            nm.append(value)
+            cameras.append(number)
+    return camera_bands(names, nm, cameras, problem.detector.shape[0])
 
 
 def expected_cube(problem: SequenceProblem, plan: CubePlan) -> tuple[CubeGrid, BandLayout]:

@@ -33,7 +33,31 @@ EPOCH = "2026-01-01T00:00:00Z"
 
 _MEAN_SHARE = 0.3  # of the converter's range, that the mean ground has where the detector is most sensitive
 # children of the seed: flight, ground, the given poses, noise of each frame
-_FLIGHT, _GROUND, _POSES, _NOISE = range(4)
+_FLIGHT, _GROUND, _POSES, _NOISE, _RIG = range(5)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCamera:
+    """One camera of a rig, as it truly is.
+
+    Attributes
+    ----------
+    name : str
+    detector : AreaDetector
+    filter : FilterLayout
+        One band.
+    orientation : Rotation
+        body_of_the_first_from_body.
+    position, given_position : (3,) m
+        Of its lens in the first camera's body, true and as a user is given it.
+    """
+
+    name: str
+    detector: AreaDetector
+    filter: FilterLayout
+    orientation: Rotation
+    position: Array
+    given_position: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +75,8 @@ class SequenceScenario:
         True motion, a closed form of time.
     filter : FilterLayout
     ground : Ground
+    rig : tuple of SimulatedCamera
+        All cameras of a rig; empty where there is one camera.
     """
 
     case: str
@@ -60,6 +86,7 @@ class SequenceScenario:
     flight: Flight
     filter: FilterLayout
     ground: SimulatedGround
+    rig: tuple[SimulatedCamera, ...] = ()
 
     @cached_property
     def poses(self) -> tuple[Array, Array, Rotation]:
@@ -80,16 +107,27 @@ class SequenceScenario:
         return Radiometry(mean_dn=_MEAN_SHARE * 2**bits, snr=self.options.snr, bits=bits)
 
     @cached_property
-    def _weights(self) -> Array32:
-        return filter_weights(self.filter, self.ground.spectra, self.ground.mean)
+    def _weights(self) -> list[Array32]:
+        filters = [camera.filter for camera in self.rig] or [self.filter]
+        return [filter_weights(layout, self.ground.spectra, self.ground.mean) for layout in filters]
 
     @cached_property
-    def _tangents(self) -> Array:
+    def _tangents(self) -> list[Array]:
         lines, columns = self.options.shape
         line, column = np.indices((lines, columns), dtype=np.float64)
         pixels = np.column_stack([line.ravel(), column.ravel()])
-        directions = self.detector.directions(pixels)
-        return np.ascontiguousarray(directions[:, :2] / directions[:, 2:]).reshape(lines, columns, 2)
+        out = []
+        for detector in [camera.detector for camera in self.rig] or [self.detector]:
+            directions = detector.directions(pixels)
+            tangents = np.ascontiguousarray(directions[:, :2] / directions[:, 2:])
+            out.append(tangents.reshape(lines, columns, 2))
+        return out
+
+    @property
+    def band_nm(self) -> Array:
+        """nm of all bands that a user is given."""
+        layouts = [camera.filter for camera in self.rig] or [self.filter]
+        return np.unique(np.concatenate([layout.given_nm.ravel() for layout in layouts]))
 
     def line_poses(self, frame: int) -> tuple[Array, Rotation]:
         """Positions (n, 3) m and world_from_body when each line is exposed; n = 1 for all lines at once."""
@@ -99,12 +137,15 @@ class SequenceScenario:
             t = t + options.readout_time * np.linspace(0.0, 1.0, options.shape[0])
         return self.flight.at(self.flight.leg_of(frame), t)
 
-    def signal(self, frame: int) -> Array32:
+    def signal(self, frame: int, camera: int = 0) -> Array32:
         """Noiseless relative signal (channels, lines, columns) of a frame, out of focus or not."""
         position, world_from_body = self.line_poses(frame)
+        if self.rig:
+            position = position + world_from_body.apply(np.array(self.rig[camera].position))
+            world_from_body = world_from_body * self.rig[camera].orientation
         matrices = (world_from_body * NADIR_MOUNT).as_matrix()
         light = render_channels(
-            self._tangents, matrices, position, self.ground, self._weights, self.options.gsd
+            self._tangents[camera], matrices, position, self.ground, self._weights[camera], self.options.gsd
         )
         if frame in self.options.blurred:
             from scipy.ndimage import gaussian_filter
@@ -112,11 +153,14 @@ class SequenceScenario:
             light = gaussian_filter(light, (0.0, self.options.blur_px, self.options.blur_px))
         return light
 
-    def image(self, frame: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    def image(self, frame: int, camera: int = 0) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """A frame as numbers, (channels, lines, columns), 8 bits if they suffice."""
         radiometry = self.radiometry
-        dn = self.signal(frame) * np.float32(radiometry.mean_dn)
-        noise = np.random.SeedSequence(self.seed, spawn_key=(_NOISE, frame))
+        dn = self.signal(frame, camera) * np.float32(radiometry.mean_dn)
+        if (frame, camera) in self.options.rig_overexposed:
+            dn += np.float32(2**self.options.bits)
+        key = (_NOISE, frame, camera) if camera else (_NOISE, frame)
+        noise = np.random.SeedSequence(self.seed, spawn_key=key)
         numbers = radiometry.digitise(dn, radiometry.mean_dn, np.random.default_rng(noise))
         return numbers.astype(np.uint8) if self.options.bits <= 8 else numbers
 
@@ -194,7 +238,42 @@ def sequence_case(case: str = "lvf", seed: int = 0, **overrides: Any) -> Sequenc
     detector = AreaDetector(
         "frame", options.shape, options.focal_length_px, options.centre_px, options.distortion, by_line
     )
-    return SequenceScenario(case, seed, options, detector, flight, layout, ground)
+    rig = _draw_rig(options, detector, np.random.SeedSequence(seed, spawn_key=(_RIG,)))
+    return SequenceScenario(case, seed, options, detector, flight, layout, ground, rig)
+
+
+def _draw_rig(
+    options: SequenceOptions, detector: AreaDetector, seed: np.random.SeedSequence
+) -> tuple[SimulatedCamera, ...]:
+    """Cameras of a rig: the first as the file says, the others turned, moved and with lenses of their own."""
+    if options.cameras == 1:
+        return ()
+    rng = np.random.default_rng(seed)
+    wavelengths = np.linspace(*options.wavelengths_nm, options.cameras)
+    out = []
+    for number, nm in enumerate(wavelengths):
+        turn = options.rig_angle_sigma * rng.standard_normal(3)
+        moved = options.rig_place_sigma * rng.standard_normal(3)
+        stretch, shift = options.rig_lens_spread * rng.standard_normal(), rng.uniform(-4.0, 4.0, 2)
+        row, column = divmod(number, 2)
+        given = options.rig_spacing * np.array([-float(row), float(column), 0.0])
+        if number == 0:
+            turn, moved, stretch, shift = np.zeros(3), np.zeros(3), 0.0, np.zeros(2)
+        line, place = detector.principal_point_px
+        lens = dataclasses.replace(
+            detector,
+            name=f"band {number + 1}",
+            focal_length_px=round(float(detector.focal_length_px * (1.0 + stretch)), 3),
+            principal_point_px=(round(float(line + shift[0]), 3), round(float(place + shift[1]), 3)),
+        )
+        band = np.full((1, 1, 1), nm)
+        layout = FilterLayout("band", band, band, options.fwhm_nm)
+        out.append(
+            SimulatedCamera(
+                lens.name, lens, layout, Rotation.from_rotvec(turn), frozen(given + moved), frozen(given)
+            )
+        )
+    return tuple(out)
 
 
 def sequence_options(case: str = "lvf", **overrides: Any) -> SequenceOptions:
@@ -212,9 +291,14 @@ def _reach(options: SequenceOptions, flight: Flight) -> float:
     tilt = float(flight.angles.amplitude.sum(axis=1)[:2].max())
     # a tilt moves the corner by more than the middle, as the square of its slant
     slant = 1.0 + (corner / options.focal_length_px) ** 2
+    if options.cameras > 1:
+        # five sigmas of two axes, and lenses that see a little more
+        tilt += 7.0 * options.rig_angle_sigma
+        corner *= 1.0 + 4.0 * options.rig_lens_spread
     return float(
         (1.0 + options.relief) * (corner * options.gsd + 1.3 * tilt * slant * options.altitude)
         + 3.0 * options.position_jitter
+        + (options.cameras > 1) * (options.cameras * options.rig_spacing + 5.0 * options.rig_place_sigma)
     )
 
 

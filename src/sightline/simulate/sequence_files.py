@@ -5,7 +5,8 @@ Given: ``sequence.toml``; ``frames.csv`` (frame,t,image) and the folder ``frames
 sigma_yaw), whose sigma is that of the noise alone, without the constant bias; ``dem.tif`` where it is given.
 
 Truth, which nothing but a score should read: ``poses-truth.csv`` (frame,t,x,y,z,qx,qy,qz,qw, at the exposure
-of line 0), ``truth-lines.csv`` (the same for the first, middle and last line of each frame: frame,line,t,...)
+of line 0), ``rig-truth.csv`` (camera,roll,pitch,yaw,x,y,z,focal_length_px against the first camera, of a rig,
+whose ``frames.csv`` is capture,camera,t,image), ``truth-lines.csv`` (the same for the first, middle and last line of each frame: frame,line,t,...)
 with a rolling shutter, ``truth-biases.csv`` (quantity,x,y,z), ``truth-focal.csv`` (camera,focal_length_px)
 where a wrong one is given, ``truth-dem.tif``, ``truth-bands.tif`` (numbers
 that a few bands should have at every place, without noise; the wavelength of each in its description and in
@@ -72,11 +73,14 @@ def write_sequence(
         What was written, by file name; the frames as their folder.
     """
     step = steps_of(progress, f"rendering {len(scenario.frames)} frames")
-    written = [_write_frames(scenario, folder / "frames", image_format, step)]
-    images = [f"frames/{_frame_name(frame, image_format)}" for frame in scenario.frames]
-    t = scenario.poses[0][list(scenario.frames)].tolist()
-    rows = zip(scenario.frames, t, images, strict=True)
-    written.append(write_rows(folder / "frames.csv", "frame,t,image", rows))
+    if scenario.rig:
+        written = _write_captures(scenario, folder, image_format, step)
+    else:
+        written = [_write_frames(scenario, folder / "frames", image_format, step)]
+        images = [f"frames/{_frame_name(frame, image_format)}" for frame in scenario.frames]
+        t = scenario.poses[0][list(scenario.frames)].tolist()
+        rows = zip(scenario.frames, t, images, strict=True)
+        written.append(write_rows(folder / "frames.csv", "frame,t,image", rows))
     written += _write_given_poses(scenario, folder)
     if dem:
         written.append(
@@ -108,16 +112,7 @@ def sequence_toml(scenario: SequenceScenario, *, dem: bool = False) -> str:
         "[world]",
         'frame = "local"',
         "",
-        "[camera]",
-        f"shape = [{options.shape[0]}, {options.shape[1]}]",
-        f"focal_length_px = {options.given_focal_length_px!r}",
-        *_focal_sigma(options),
-        f"principal_point_px = [{options.centre_px[0]!r}, {options.centre_px[1]!r}]",
-        f"distortion = {list(options.distortion)!r}",
-        'mount = "nominal"',
-        *_filter_lines(scenario),
-        *([f"readout_time = {options.readout_time!r}"] if options.readout_time else []),
-        "",
+        *(_rig_lines(scenario) if scenario.rig else _camera_lines(scenario)),
         "[subset]",
         f"overlap = {_SUBSET_OVERLAP!r}",
         "",
@@ -129,6 +124,74 @@ def sequence_toml(scenario: SequenceScenario, *, dem: bool = False) -> str:
     else:
         lines += [f"height = {float(heights.mean()):.3f}", f"height_sigma = {float(heights.std()):.3f}"]
     return "\n".join(lines) + "\n"
+
+
+def _camera_lines(scenario: SequenceScenario) -> list[str]:
+    """``[camera]``."""
+    options = scenario.options
+    return [
+        "[camera]",
+        f"shape = [{options.shape[0]}, {options.shape[1]}]",
+        f"focal_length_px = {options.given_focal_length_px!r}",
+        *_focal_sigma(options),
+        f"principal_point_px = [{options.centre_px[0]!r}, {options.centre_px[1]!r}]",
+        f"distortion = {list(options.distortion)!r}",
+        'mount = "nominal"',
+        *_filter_lines(scenario),
+        *([f"readout_time = {options.readout_time!r}"] if options.readout_time else []),
+        "",
+    ]
+
+
+def _rig_lines(scenario: SequenceScenario) -> list[str]:
+    """``[[camera]]`` of each camera of a rig."""
+    options, lines = scenario.options, []
+    for number, camera in enumerate(scenario.rig):
+        lens = camera.detector
+        lines += [
+            "[[camera]]",
+            f'name = "{camera.name}"',
+            f"shape = [{options.shape[0]}, {options.shape[1]}]",
+            f"focal_length_px = {lens.focal_length_px / (1.0 + options.focal_error)!r}",
+            *(_focal_sigma(options) if number == 0 else []),
+            f"principal_point_px = [{lens.principal_point_px[0]!r}, {lens.principal_point_px[1]!r}]",
+            f"distortion = {list(lens.distortion)!r}",
+            f"wavelength_nm = {float(camera.filter.given_nm[0, 0, 0])!r}",
+        ]
+        if number:
+            lines += [
+                "orientation_offset = [0.0, 0.0, 0.0]",
+                f"orientation_offset_sigma = {options.rig_angle_sigma!r}",
+                f"position_offset = {camera.given_position.tolist()!r}",
+                f"position_offset_sigma = {options.rig_place_sigma!r}",
+            ]
+        lines.append("")
+    return lines
+
+
+def _write_captures(scenario: SequenceScenario, folder: Path, image_format: str, step: Step) -> list[Path]:
+    """Images of all cameras of a rig, their table, and how the cameras truly sit."""
+    (folder / "frames").mkdir(exist_ok=True)
+    rows = []
+    for frame in stepped(scenario.frames, step):
+        for number, camera in enumerate(scenario.rig):
+            if (frame, number) in scenario.options.rig_missing:
+                continue
+            name = f"frames/capture-{frame:05d}-{number + 1}.{image_format}"
+            _write_image(folder / name, scenario.image(frame, number))
+            if frame in scenario.options.unreadable:
+                path = folder / name
+                path.write_bytes(path.read_bytes()[: path.stat().st_size // 4])
+            rows.append([frame, camera.name, scenario.flight.time(frame), name])
+    truth = [
+        [c.name, *c.orientation.as_rotvec().tolist(), *c.position.tolist(), c.detector.focal_length_px]
+        for c in scenario.rig
+    ]
+    return [
+        folder / "frames",
+        write_rows(folder / "frames.csv", "capture,camera,t,image", rows),
+        write_rows(folder / "rig-truth.csv", "camera,roll,pitch,yaw,x,y,z,focal_length_px", truth),
+    ]
 
 
 def _focal_sigma(options: SequenceOptions) -> list[str]:
@@ -260,7 +323,7 @@ def _write_scene(scenario: SequenceScenario, path: Path) -> Path:
 
 def truth_wavelengths(scenario: SequenceScenario, count: int) -> Array:
     """(n,) nm of the bands of ``truth-bands.tif``: `count` of those that the filter has, evenly chosen."""
-    there = np.unique(scenario.filter.given_nm)
+    there = scenario.band_nm
     return there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).round().astype(int))]
 
 

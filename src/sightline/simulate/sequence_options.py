@@ -109,6 +109,19 @@ class SequenceOptions:
         Frames that are out of focus, likewise.
     blur_px : float
         px, sigma of their blur.
+    cameras : int
+        Of a rig, exposed together, each with one band, evenly over `wavelengths_nm`, and a lens of its own; 1:
+        one camera with `filter`.
+    rig_angle_sigma : float
+        rad per axis; cameras are turned by so much against the first, which the file gives as this sigma.
+    rig_place_sigma : float
+        m per axis; their lenses lie so far off where the file gives them, with this sigma.
+    rig_spacing : float
+        m from lens to lens, in two rows.
+    rig_lens_spread : float
+        Relative; focal lengths differ by about so much, and are given exactly.
+    rig_missing, rig_overexposed : tuple of (int, int)
+        Captures and cameras (from 0) whose image was never delivered, or is saturated.
     """
 
     frames: int = 640
@@ -148,6 +161,13 @@ class SequenceOptions:
     unreadable: tuple[int, ...] = ()
     blurred: tuple[int, ...] = ()
     blur_px: float = 4.0
+    cameras: int = 1
+    rig_angle_sigma: float = float(np.radians(1.0))
+    rig_place_sigma: float = 0.005
+    rig_spacing: float = 0.04
+    rig_lens_spread: float = 0.005
+    rig_missing: tuple[tuple[int, int], ...] = ()
+    rig_overexposed: tuple[tuple[int, int], ...] = ()
 
     WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "filter": FILTERS, "spectra": SPECTRA, "texture": TEXTURES,
@@ -163,7 +183,9 @@ class SequenceOptions:
         "attitude_bias_sigma": (0.0, 0.5), "relief": (0.0, 0.2), "relief_scale": (1e-3, 100.0),
         "contrast": (0.0, 10.0), "mtf_nyquist": (1e-3, 0.9), "snr": (0.1, 1e5), "bits": (4, 16),
         "water": (0, 1_000_000), "missing": (0, 1_000_000_000), "unreadable": (0, 1_000_000_000),
-        "blurred": (0, 1_000_000_000), "blur_px": (0.0, 50.0),
+        "blurred": (0, 1_000_000_000), "blur_px": (0.0, 50.0), "cameras": (1, 20),
+        "rig_angle_sigma": (0.0, 0.2), "rig_place_sigma": (0.0, 10.0), "rig_spacing": (0.0, 100.0),
+        "rig_lens_spread": (0.0, 0.2), "rig_missing": (0, 1_000_000), "rig_overexposed": (0, 1_000_000),
     }  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -176,6 +198,21 @@ class SequenceOptions:
             )
         self._check_filter()
         self._check_frames()
+        self._check_rig()
+
+    def _check_rig(self) -> None:
+        for name in ("rig_missing", "rig_overexposed"):
+            for frame, camera in getattr(self, name):
+                if not (0 <= frame < self.total_frames and 0 <= camera < self.cameras):
+                    raise InputError(
+                        f"`{name}` names capture {frame} of camera {camera}; there are 0 to "
+                        f"{self.total_frames - 1} of cameras 0 to {self.cameras - 1}"
+                    )
+        if self.cameras > 1 and (self.filter != "pan" or self.readout_time):
+            raise InputError(
+                f"the {self.cameras} cameras of a rig have a band each and expose all lines at once: `filter` "
+                f'must be "pan" and `readout_time` 0, got {self.filter!r} and {self.readout_time}'
+            )
 
     def _check_filter(self) -> None:
         low, high = self.wavelengths_nm
@@ -251,6 +288,11 @@ CASE_OPTIONS: dict[str, dict[str, Any]] = {
         "readout_time": 0.02,
     },
     "long": {**_SMALL, "frames": 10000},
+    "rig": {
+        "shape": (240, 320), "focal_length_px": 360.0, "frames": 40, "overlap": 0.75, "frame_rate": 1.0,
+        "filter": "pan", "cameras": 5, "wavelengths_nm": (475.0, 840.0), "jitter": float(np.radians(0.5)),
+        "bits": 12,
+    },
     "aircraft": {
         "altitude": 1500.0, "frame_rate": 6.25, "position_jitter": 3.0, "position_sigma": 2.0,
         "position_bias_sigma": 3.0,

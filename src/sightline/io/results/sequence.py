@@ -18,6 +18,7 @@ from sightline.applications.sequence_poses import SequencePoses
 from sightline.io.formats.tables import write_columns
 from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.io.results.poses import SIGMAS, SOURCES, in_table_axes, pose_axes
+from sightline.io.results.rig import rig_summary, write_rig
 from sightline.io.results.sequence_exports import write_pose_exports, write_sequence_poses
 from sightline.io.sequence.load import FrameSequence
 from sightline.photogrammetry.flight.table_check import table_fits
@@ -63,6 +64,8 @@ def write_sequence_result(
             f"written are {EXPORTED_SIGHTINGS} at most",
         )
     write_frames_used(folder / "frames_used.csv", sequence, found)
+    if found.rig is not None:
+        write_rig(folder, sequence.problem, found)
     summary = summarize_sequence(sequence, found, wall_seconds=wall_seconds)
     summary |= {"export_notes": list(notes)} | more
     write_json(folder / "summary.json", summary)
@@ -149,6 +152,7 @@ def summarize_sequence(
         "datum": _datum(sequence, found),
         "tables": _tables(sequence, found),
         "focal_length": _focal_length(sequence, found),
+        "rig": rig_summary(problem, found),
         "bow": [dict(zip(DATUM[3:], map(float, bow), strict=True)) for bow in poses.bow],
         "sightings": _sightings(found),
         "points": int(np.isfinite(poses.points).all(axis=1).sum()),

@@ -79,6 +79,8 @@ class FrameSequence:
         Every other file that was read.
     doubts : tuple of str
         What was given and is hardly meant; the problem's warnings have it too.
+    rig_files : tuple of tuple of Path or None
+        Images of each camera of a rig, one per capture; empty where there is one camera.
     """
 
     path: Path
@@ -89,11 +91,12 @@ class FrameSequence:
     files: tuple[Path, ...] = field(repr=False)
     inputs: tuple[Path, ...] = field(repr=False)
     doubts: tuple[str, ...] = ()
+    rig_files: tuple[tuple[Path | None, ...], ...] = field(default=(), repr=False)
 
     def input_hashes(self) -> dict[str, str]:
         """SHA-256 of every input file by its name, and of all images together as ``frames``."""
         images = hashlib.sha256()
-        for path in self.files:
+        for path in [p for row in self.rig_files for p in row if p is not None] or self.files:
             images.update((sha256(path) if path.is_file() else "none").encode())
         return {path.name: sha256(path) for path in self.inputs} | {"frames": images.hexdigest()}
 
@@ -191,10 +194,9 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
     )
     doubts = (*unit_doubts(problem), *_span_doubts(problem, file))
     problem = replace(problem, warnings=(*problem.warnings, *doubts))
-    images_of = frames.files if rig is None else tuple(p for row in rig.files for p in row if p is not None)
     return FrameSequence(
-        path, file.sequence.name, problem, file.world, file.cube, images_of, tuple(files.used),
-        (*wide_words(detector), *doubts),
+        path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used),
+        (*wide_words(detector), *doubts), () if rig is None else rig.files,
     )  # fmt: skip
 
 

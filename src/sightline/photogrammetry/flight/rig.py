@@ -189,6 +189,6 @@ def rig_images(captures: Images, orientation: Rotation, position: Array) -> Imag
         as_index(np.repeat(np.arange(cameras), count), "camera"),
         as_index(np.tile(captures.shot, cameras), "shot"),
         np.tile(captures.t, cameras),
-        np.concatenate([captures.position + body.apply(lever) for lever in position]),
+        np.concatenate([captures.position + body.apply(lever) for lever in np.array(position)]),
         Rotation.concatenate([body * turn for turn in orientation]),
     )

@@ -158,7 +158,16 @@ def solve_capture(problem: SequenceProblem) -> RigAdjusted:
         tracks = rig_noise(solution, tracks, len(cameras), 1)
     assert solution is not None
     _refuse_unseen(solution.offsets)
-    return RigAdjusted(solution.poses, solution.offsets, tracks, offset_words(problem, solution.offsets))
+    # the pose was held, not found: it is as rough as its tables
+    rough = problem.known.precision()[0][np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])]
+    nothing = np.diag(rough) <= 0.0
+    covariance = np.linalg.inv(rough + np.diag(nothing.astype(np.float64)))
+    covariance[nothing, nothing] = np.inf
+    poses = replace(
+        solution.poses, position=images.position, world_from_body=images.world_from_body,
+        covariance=frozen(covariance[None]),
+    )  # fmt: skip
+    return RigAdjusted(poses, solution.offsets, tracks, offset_words(problem, solution.offsets))
 
 
 def first_camera(found: RigAdjusted, rows: int) -> FramePoses:
