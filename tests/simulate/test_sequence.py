@@ -140,7 +140,12 @@ def test_a_ray_that_looks_up_is_refused():
     upside = np.diag([1.0, 1.0, 1.0])[None]
     with pytest.raises(GeometryError, match="looks upwards"):
         render_channels(
-            scenario._tangents, upside, np.array([[0.0, 0.0, 80.0]]), scenario.ground, scenario._weights, 0.3
+            scenario._tangents[0],
+            upside,
+            np.array([[0.0, 0.0, 80.0]]),
+            scenario.ground,
+            scenario._weights[0],
+            0.3,
         )
 
 
@@ -198,7 +203,7 @@ def test_plants_are_dark_in_red_and_bright_beyond_and_the_mean_ground_is_even():
     narrow = dataclasses.replace(layout, fwhm_nm=1e-6).at(np.array([668.0, 840.0]), spectra)
     np.testing.assert_allclose(narrow, [red, infrared], rtol=1e-6)
     # the mean ground gives the detector's response, 1 at 620 nm
-    weights = scenario._weights[0, :, 0] @ scenario.ground.mean
+    weights = scenario._weights[0][0, :, 0] @ scenario.ground.mean
     assert weights.max() == pytest.approx(1.0, abs=1e-3)
     assert np.argmax(weights) == pytest.approx((620 - 450) / 450 * 159, abs=1)
 

@@ -27,7 +27,7 @@ _SPACING = 4
 
 
 @dataclass(frozen=True, eq=False)
-class RegisteredBand:
+class LaidBand:
     """A band of one capture in the geometry of the first camera.
 
     Attributes
@@ -46,7 +46,7 @@ class RegisteredBand:
 
 def registered_bands(
     problem: SequenceProblem, found: SequencePoses, capture: int = 0, *, refined: bool = True
-) -> tuple[RegisteredBand, ...]:
+) -> tuple[LaidBand, ...]:
     """All bands of a capture on its first camera, over the surface given.
 
     Parameters
@@ -80,7 +80,7 @@ def registered_bands(
                     source, lattice_map(_Map(cameras[0], cameras[c], problem).to), cameras[0].shape, _SPACING
                 )
             name = f"{camera.name} {nm:g} nm" if len(channels) > 1 else camera.name
-            out.append(RegisteredBand(name, float(nm), source))
+            out.append(LaidBand(name, float(nm), source))
     return tuple(out)
 
 

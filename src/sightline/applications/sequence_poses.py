@@ -292,8 +292,8 @@ def _one_capture(problem: SequenceProblem, run: _Run) -> SequencePoses:
     subset = Subset(np.zeros(1, dtype=np.intp), np.full(1, np.nan), np.full(1, np.nan), ("the only capture",))
     words = (
         *problem.warnings,
-        "one capture: its pose is that of its tables; found are the offsets of the cameras, whose lever arms and "
-        "angles go together over ground of one height",
+        "one capture: its pose is that of its tables; found are the offsets of the cameras, whose lever arms "
+        "and angles go together over ground of one height",
         *rig.words,
     )
     return SequencePoses(

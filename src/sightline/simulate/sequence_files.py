@@ -5,12 +5,12 @@ Given: ``sequence.toml``; ``frames.csv`` (frame,t,image) and the folder ``frames
 sigma_yaw), whose sigma is that of the noise alone, without the constant bias; ``dem.tif`` where it is given.
 
 Truth, which nothing but a score should read: ``poses-truth.csv`` (frame,t,x,y,z,qx,qy,qz,qw, at the exposure
-of line 0), ``rig-truth.csv`` (camera,roll,pitch,yaw,x,y,z,focal_length_px against the first camera, of a rig,
-whose ``frames.csv`` is capture,camera,t,image), ``truth-lines.csv`` (the same for the first, middle and last line of each frame: frame,line,t,...)
-with a rolling shutter, ``truth-biases.csv`` (quantity,x,y,z), ``truth-focal.csv`` (camera,focal_length_px)
-where a wrong one is given, ``truth-dem.tif``, ``truth-bands.tif`` (numbers
-that a few bands should have at every place, without noise; the wavelength of each in its description and in
-its tag ``wavelength_nm``) and ``truth-scene.json`` (case, seed, options, where the spectra are from).
+of line 0), ``rig-truth.csv`` (of a rig: camera,roll,pitch,yaw,x,y,z,focal_length_px against the first camera;
+its ``frames.csv`` is capture,camera,t,image), ``truth-lines.csv`` (the same for the first, middle and last
+line of each frame: frame,line,t,...) with a rolling shutter, ``truth-biases.csv`` (quantity,x,y,z),
+``truth-focal.csv`` (camera,focal_length_px) where a wrong one is given, ``truth-dem.tif``,
+``truth-bands.tif`` (numbers that a few bands should have at every place, without noise; the wavelength of
+each in its description and in its tag ``wavelength_nm``) and ``truth-scene.json`` (case, seed, options, where the spectra are from).
 
 Beside the keys that every reader of SEQUENCE.toml knows, ``[sequence]`` holds ``name`` and ``epoch``, and
 ``[camera]`` one of ``wavelength_nm`` (one per line), ``mosaic_nm`` (rows of a pattern that repeats from pixel

@@ -110,8 +110,8 @@ class SequenceOptions:
     blur_px : float
         px, sigma of their blur.
     cameras : int
-        Of a rig, exposed together, each with one band, evenly over `wavelengths_nm`, and a lens of its own; 1:
-        one camera with `filter`.
+        Of a rig, exposed together, each with one band, evenly over `wavelengths_nm`, and its own lens; 1: one
+        camera with `filter`.
     rig_angle_sigma : float
         rad per axis; cameras are turned by so much against the first, which the file gives as this sigma.
     rig_place_sigma : float
@@ -120,8 +120,10 @@ class SequenceOptions:
         m from lens to lens, in two rows.
     rig_lens_spread : float
         Relative; focal lengths differ by about so much, and are given exactly.
-    rig_missing, rig_overexposed : tuple of (int, int)
-        Captures and cameras (from 0) whose image was never delivered, or is saturated.
+    rig_missing : tuple of (int, int)
+        Captures and cameras, from 0, whose image was never delivered, as [[3, 1]].
+    rig_overexposed : tuple of (int, int)
+        Those whose image is saturated, likewise.
     """
 
     frames: int = 640
@@ -210,8 +212,8 @@ class SequenceOptions:
                     )
         if self.cameras > 1 and (self.filter != "pan" or self.readout_time):
             raise InputError(
-                f"the {self.cameras} cameras of a rig have a band each and expose all lines at once: `filter` "
-                f'must be "pan" and `readout_time` 0, got {self.filter!r} and {self.readout_time}'
+                f"the {self.cameras} cameras of a rig have a band each and expose all lines at once: "
+                f'`filter` must be "pan" and `readout_time` 0, got {self.filter!r} and {self.readout_time}'
             )
 
     def _check_filter(self) -> None:

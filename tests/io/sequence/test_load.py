@@ -400,10 +400,11 @@ def test_photographs_without_heights_ask_for_the_altitude(tmp_path, real_data):
     assert np.median(speed) == pytest.approx(7350.0, rel=0.05)  # 7.66 km/s in orbit less the Earth's turn
 
 
-def test_a_folder_of_a_rig_is_refused_with_advice(tmp_path, real_data):
+def test_a_lens_of_one_camera_beside_a_folder_of_a_rig_is_refused_with_advice(tmp_path, real_data):
     folder = real_data("rededge_capture")
-    with pytest.raises(FormatError, match="photographs of 5 cameras of a rig"):
-        load_sequence(written(tmp_path, f'frames = "{folder}"\n'))
+    text = f'frames = "{folder}"\n[camera]\nfocal_length_px = 1450.0\n'
+    with pytest.raises(FormatError, match=r"focal_length_px of one: write a \[\[camera\]\] for each"):
+        load_sequence(written(tmp_path, text))
 
 
 def test_the_gimbal_at_zero_looks_at_the_northern_horizon():

@@ -59,7 +59,7 @@ def _flight(seed: int) -> tuple[RigSolution, np.ndarray, Rotation, Rotation, np.
             image.append(np.full(inside.sum(), c * CAPTURES + k))
             point.append(np.flatnonzero(inside))
             pixels.append(seen[inside] + rng.normal(0.0, SIGMA_PX, (inside.sum(), 2)))
-    names, number = np.unique(np.concatenate(point), return_inverse=True)
+    _, number = np.unique(np.concatenate(point), return_inverse=True)
     tracks = Tracks(np.concatenate(image), number, np.concatenate(pixels), SIGMA_PX)
     cameras = [
         RigCamera(
@@ -109,7 +109,8 @@ def test_offsets_and_poses_err_by_what_their_covariance_says(seeds) -> None:
         error = np.concatenate(
             [found.poses.position - position, (body.inv() * found.poses.world_from_body).as_rotvec()], axis=1
         )
-        poses.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(found.poses.covariance), error).mean() / 6)
+        information = np.linalg.inv(found.poses.covariance)
+        poses.append(np.einsum("ka,kab,kb->k", error, information, error).mean() / 6.0)
         assert found.offsets.observed[1:, :3].all()
     # chi-square of 72 over 72 has a sigma of 0.17; poses of a flight share their datum: 6 x some 10 of them
     assert 0.5 < np.mean(rig) < 1.5, np.mean(rig)

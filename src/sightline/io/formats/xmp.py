@@ -4,9 +4,9 @@ DJI: angles of the camera in degrees against north, east, down: yaw clockwise fr
 horizon, -90 straight down), then roll; at 0, 0, 0 the camera looks north, columns to the east, lines down.
 Pix4D's camera tags (MicaSense, and others): focal length in px (or mm), principal point in mm from pixel
 (0, 0)'s corner, distortion k1, k2, k3, p1, p2, central wavelength in nm, number of the camera in its rig,
-RigRelatives: degrees about x (columns), y (lines), z (forward) of the camera, in which order it is turned from
-the axes of the rig (reference_from_camera = Rx Ry Rz). DJI's lens: DewarpData "date;fx,fy,cx,cy,k1,k2,p1,p2,k3"
-in px, cx and cy from the middle of the frame.
+RigRelatives: degrees about x (columns), y (lines), z (forward) of the camera, in which order it is turned
+from the axes of the rig (reference_from_camera = Rx Ry Rz). DJI's lens: DewarpData
+"date;fx,fy,cx,cy,k1,k2,p1,p2,k3" in px, cx and cy from the middle of the frame.
 
 Not here: time and place (``exif.py``).
 """

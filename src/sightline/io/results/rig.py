@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.applications.rig_bands import RegisteredBand
+from sightline.applications.rig_bands import LaidBand
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.io.formats.tables import write_columns
 from sightline.photogrammetry.flight.problem import SequenceProblem
@@ -24,7 +24,7 @@ RIG, REGISTERED = "rig.csv", "registered.tif"
 #: Columns of ``rig.csv``: offsets against the first camera, their sigmas, what they were given to.
 _OFFSETS = OFFSETS[:6]
 COLUMNS = (
-    "camera", *_OFFSETS, *(f"sigma_{name}" for name in _OFFSETS), *(f"prior_sigma_{name}" for name in _OFFSETS),
+    "camera", *_OFFSETS, *(f"{kind}sigma_{name}" for kind in ("", "prior_") for name in _OFFSETS),
     "focal_length_px", "sigma_focal_length_px", "sightings", "residual_px", "observed",
 )  # fmt: skip
 #: Lines of a band that are written at a time.
@@ -92,7 +92,7 @@ def rig_summary(problem: SequenceProblem, found: SequencePoses) -> list[dict[str
     return out
 
 
-def write_registered(folder: Path, bands: Sequence[RegisteredBand]) -> str:
+def write_registered(folder: Path, bands: Sequence[LaidBand]) -> str:
     """``registered.tif``: all bands of a capture on its first camera, float32, NaN where there is none."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning

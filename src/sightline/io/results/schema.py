@@ -533,6 +533,25 @@ class FoundFocal(SummaryPart):
     told_sigma_px: Number = _is("As given; null: not known at all")
 
 
+class RigEntry(SummaryPart):
+    """A camera of a rig: how it sits against the first."""
+
+    camera: str
+    wavelength_nm: Number = _is("Null: all light")
+    orientation: tuple[float, float, float] = _is("rad, rotation vector about body axes")
+    orientation_sigma: tuple[Number, Number, Number]
+    position: tuple[float, float, float] = _is("m, body axes")
+    position_sigma: tuple[Number, Number, Number]
+    focal_length_px: float
+    focal_length_sigma_px: Number = _is("0: kept as given")
+    prior: str = _is("Where the orientation beforehand is from")
+    observed: list[str] = _is("What the images know better than was given")
+    held: list[str] = _is("What they do not: as given")
+    images: Count = _is("That can be used")
+    sightings: Count = _is("Good ones")
+    rms_px: Number = _is("Of their residuals; null without any")
+
+
 class SightingCounts(SummaryPart):
     """Windows followed from frame to frame."""
 
@@ -596,11 +615,13 @@ class SequenceSummary(RunSummary):
     datum: dict[str, DatumPart | None] = _is("m and rad: constant errors of the tables; null: none sought")
     tables: dict[str, TablePart] = _is("positions, attitudes: whether they go with the poses found")
     focal_length: FoundFocal | None = _is("Where it was found with the poses")
+    rig: list[RigEntry] | None = _may("Cameras of a rig; null, or left out, of one camera")
     bow: list[dict[str, float]] = _is("rad: bends that were left free, by axis")
     sightings: SightingCounts = _is("Windows followed from frame to frame")
     points: Count = _is("Of the ground")
     method: str = _is("all-frames, or that of the document")
     cube: CubeEntry | None = _may("Maps of the bands; null, or left out, where none were made")
+    registered: str | None = _may("Bands of a single capture on its first camera: the file")
     export_notes: list[str] | None = _may("Why an export is missing")
 
 

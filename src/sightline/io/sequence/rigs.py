@@ -2,7 +2,8 @@
 
 By a table capture,camera,t,image, by patterns of file names, or by tags of the files.
 
-Not here: keys (``schema.py``), tags (``io/formats/xmp.py``), what offsets are (``photogrammetry/flight/rig.py``).
+Not here: keys (``schema.py``), tags (``io/formats/xmp.py``), what offsets are
+(``photogrammetry/flight/rig.py``).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from sightline.io.formats.tables import check_times, header_of
 from sightline.io.formats.xmp import Xmp
 from sightline.io.sequence.frame_files import FrameFile, probe
 from sightline.io.sequence.frames import SUFFIXES, FrameList, read_photograph_tags
+from sightline.io.sequence.positions import place_of
 from sightline.io.sequence.schema import (
     RIG_ANGLE_SIGMA,
     RIG_PLACE_SIGMA,
@@ -45,6 +47,8 @@ _HEAD = 16
 _TAG_SIGMA = 0.0087
 #: m, and rad: by what positions and angles that cameras of one capture give may differ for one body.
 _SAME_PLACE, _SAME_ANGLE = 1.0, np.radians(1.0)
+#: m; radius of the Earth, for lengths of some metres.
+_EARTH = 6.37e6
 NO_IMAGE = "no image of this camera in this capture"
 
 
@@ -131,7 +135,8 @@ def _of_table(
     header = header_of(path)
     if "capture" not in header or "camera" not in header:
         raise FormatError(
-            f"{path}: the header is {','.join(header)!r}; of several [[camera]] {','.join(COLUMNS)!r} is expected"
+            f"{path}: the header is {','.join(header)!r}; of several [[camera]] {','.join(COLUMNS)!r} is "
+            "expected"
         )
     epoch = file.sequence.epoch or first_instant(path)
     table = read_timed(path, COLUMNS, epoch, text=("capture", "camera", "image"))
@@ -175,17 +180,19 @@ def _by_names(folder: Path, file: SequenceFile, listed: tuple[RigCameraSection, 
 def _by_tags(folder: Path, file: SequenceFile, listed: tuple[RigCameraSection, ...]) -> RigImages:
     """Images by the tags of a rig."""
     tagged = [(path, *read_photograph_tags(path)) for path in _images_in(folder)]
-    numbers = sorted({xmp.rig_camera for _, _, xmp, _ in tagged if xmp is not None} - {None}, key=int)
+    numbers = sorted(
+        {xmp.rig_camera for _, _, xmp, _ in tagged if xmp is not None and xmp.rig_camera is not None}
+    )
     if len(numbers) < 2:
         raise FormatError(
-            f"{folder}: the images' tags name {len(numbers)} cameras (RigCameraIndex), {len(listed)} [[camera]] "
-            "are given; give images = PATTERN for each, or a table capture,camera,t,image"
+            f"{folder}: the images' tags name {len(numbers)} cameras (RigCameraIndex), {len(listed)} "
+            "[[camera]] are given; give images = PATTERN for each, or a table capture,camera,t,image"
         )
     if listed and len(listed) != len(numbers):
         raise FormatError(
             f"{folder}: the images' tags name {len(numbers)} cameras (RigCameraIndex "
-            f"{', '.join(map(str, numbers))}), {len(listed)} [[camera]] are given; one for each is expected, in "
-            "that order, or images = PATTERN in each"
+            f"{', '.join(map(str, numbers))}), {len(listed)} [[camera]] are given; one for each is expected, "
+            "in that order, or images = PATTERN in each"
         )
     names = [camera.name for camera in listed] or _names_by_tags(
         [next(x for _, _, x, _ in tagged if x is not None and x.rig_camera == number) for number in numbers]
@@ -198,8 +205,8 @@ def _by_tags(folder: Path, file: SequenceFile, listed: tuple[RigCameraSection, .
         capture = xmp.capture or ("" if exif is None else exif.time)
         if not capture:
             raise FormatError(
-                f"{path}: neither CaptureId nor a time says of which capture it is; give images = PATTERN in each "
-                "[[camera]]"
+                f"{path}: neither CaptureId nor a time says of which capture it is; give images = PATTERN in "
+                "each [[camera]]"
             )
         rows.append(_Image(capture, names[numbers.index(xmp.rig_camera)], path, None, exif, xmp))
     return _sorted(folder, rows, sections, file.sequence.epoch, by_file=True)
@@ -219,8 +226,8 @@ def _section(file: SequenceFile, name: str) -> RigCameraSection:
     more = camera.model_fields_set - {"mount", "body_from_camera"}
     if more:
         raise FormatError(
-            f"the photographs are of several cameras of a rig, [camera] gives {', '.join(sorted(more))} of one: "
-            "write a [[camera]] for each, or leave that out"
+            f"the photographs are of several cameras of a rig, [camera] gives {', '.join(sorted(more))} of "
+            "one: write a [[camera]] for each, or leave that out"
         )
     return RigCameraSection.model_validate(
         {"name": name, **{key: getattr(camera, key) for key in camera.model_fields_set}}
@@ -255,8 +262,8 @@ def _sorted(
         same = np.concatenate([[0.0], np.where(np.diff(spread) > 0.0, 0.0, 1.0)])
         if same.any():
             raise FormatError(
-                f"{path}: captures {order[int(same.argmax()) - 1]!r} and {order[int(same.argmax())]!r} have the "
-                "same time; give a table capture,camera,t,image with the time of each"
+                f"{path}: captures {order[int(same.argmax()) - 1]!r} and {order[int(same.argmax())]!r} have "
+                "the same time; give a table capture,camera,t,image with the time of each"
             )
     t = np.array([times[name] for name in order])
     check_times(path, t)
@@ -365,8 +372,8 @@ def _orientation(images: RigImages, camera: int, detector: AreaDetector) -> tupl
 def refuse_asynchronous(images: RigImages) -> None:
     """FormatError where places or angles that cameras give of themselves are not those of one body.
 
-    Photographs of one capture have one place and attitude. Where the medians of what they differ by are beyond
-    what a lever arm and a mount can be, and vary, the cameras fired one after the other.
+    Photographs of one capture have one place and attitude. Where the median of what places differ by is
+    beyond what a lever arm can be, the cameras fired one after the other.
     """
     first = images.sections[0].name
     for c in range(1, len(images.sections)):
@@ -391,21 +398,18 @@ def refuse_asynchronous(images: RigImages) -> None:
         if turned and float(np.max(turned)) > np.degrees(_SAME_ANGLE):
             words += f", their own roll and pitch by up to {np.max(turned):.2g} degrees"
         raise FormatError(
-            f"{images.captures.path}: cameras {first} and {images.sections[c].name} do not expose together: of "
-            f"one capture {words}; a rig has one pose per capture: georeference each camera by itself, as a "
-            "sequence of one [camera]"
+            f"{images.captures.path}: cameras {first} and {images.sections[c].name} do not expose together: "
+            f"of one capture {words}; a rig has one pose per capture: georeference each camera by itself, "
+            "as a sequence of one [camera]"
         )
 
 
 def _metres(one: Exif, other: Exif) -> float | None:
     """m on the ground between the places of two photographs."""
-    if None in (one.longitude_deg, one.latitude_deg, other.longitude_deg, other.latitude_deg):
-        return None
-    assert one.latitude_deg is not None and other.latitude_deg is not None
-    assert one.longitude_deg is not None and other.longitude_deg is not None
-    north = np.radians(other.latitude_deg - one.latitude_deg) * 6.37e6
-    east = np.radians(other.longitude_deg - one.longitude_deg) * 6.37e6 * np.cos(np.radians(one.latitude_deg))
-    return float(np.hypot(north, east))
+    (lon, lat, _), (other_lon, other_lat, _) = place_of(one, None)[0], place_of(other, None)[0]
+    north = np.radians(other_lat - lat) * _EARTH
+    east = np.radians(other_lon - lon) * _EARTH * np.cos(np.radians(lat))
+    return float(np.hypot(north, east)) if np.isfinite(north + east) else None
 
 
 def _speed_words(images: RigImages, apart: Array) -> str:

@@ -86,7 +86,7 @@ class PoseUnknowns(ReadOnlyArrays):
 
     @property
     def own(self) -> int:
-        """Unknowns of a shot: 6 of each of its images, or 6 in all where the images of a rig move together."""
+        """Unknowns of a shot: 6 of each of its images, or 6 in all of a rig, which moves as one."""
         return self.by_shot.shape[2]
 
     def of_images(self) -> tuple[Array, Array]:

@@ -83,8 +83,8 @@ class RigCamera:
             object.__setattr__(self, name, frozen(as_vector(getattr(self, name), name, 3)))
         if len(self.sources) != len(self.excluded):
             raise InputError(
-                f"camera {self.name}: as many `sources` as `excluded` are needed, got {len(self.sources)} and "
-                f"{len(self.excluded)}"
+                f"camera {self.name}: as many `sources` as `excluded` are needed, got {len(self.sources)} "
+                f"and {len(self.excluded)}"
             )
         if min(self.orientation_sigma, self.focal_sigma, float(self.position_sigma.min())) < 0.0:
             raise InputError(f"camera {self.name}: sigmas must be 0 or more")

@@ -93,7 +93,8 @@ def begin_offsets(
     report : callable, optional
         Called with the number of cameras done and of all.
     """
-    placed, failed = [0], {}
+    placed = [0]
+    failed: dict[str, str] = {}
     order = sorted(range(1, len(cameras)), key=lambda c: _unlike(cameras[0], cameras[c]))
     waiting, tried = list(order), 0
     while waiting and tried < len(waiting):

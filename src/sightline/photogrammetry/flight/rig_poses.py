@@ -115,15 +115,18 @@ def adjust_rig(
     detectors, mounts = [c.detector for c in cameras], [c.mount for c in cameras]
     orientation = Rotation.concatenate([c.orientation for c in cameras])
     position = np.array([c.position for c in cameras])
-    state, weight, usable, block = None, None, None, None
+    state: State | None = None
+    weight: Array | None = None
+    usable, block = np.zeros(len(tracks), dtype=bool), None
     for _ in range(_ROUNDS):
         now = moved_images(captures, moved)
         plain = replace(frame_unknowns(captures, known, rough, order.rank, moved), last=order.last)
         unknowns = _with_offsets(plain, now, cameras, common)
         planned = sight_frames(rig_images(now, orientation, position), detectors, mounts, tracks)
-        before, block = block, BlockSums(planned, unknowns, priors)
+        before: BlockSums | None = block
+        block = BlockSums(planned, unknowns, priors)
         own = held_at(plain, common[: plain.globals])
-        if state is None or usable is None or before is None:
+        if state is None or before is None:
             state, usable = first_state(block, seen_twice(planned, priors), None)
             if points is not None:
                 given = np.asarray(np.isfinite(points).all(axis=1))
@@ -137,6 +140,7 @@ def adjust_rig(
         step = plain.departures(state.own, common[: plain.globals])
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
         last, moved = moved, np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:6]], axis=1)
+    assert block is not None  # there is a round
     poses, covariance = as_frame_poses(moved_images(captures, last), block, fit, rough, known)
     return RigSolution(
         poses,

@@ -197,8 +197,8 @@ def offset_words(problem: SequenceProblem, offsets: RigOffsets) -> tuple[str, ..
             if prior[k] > 0.0 and abs(departed[k]) > _CONTRADICTED * prior[k]:
                 size = abs(departed[k]) / prior[k]
                 out.append(
-                    f"camera {camera.name}: its {name} offset was found {size:.1f} of its sigmas from what was "
-                    f"{camera.prior}: {_size(k, departed[k])} away, known to {_size(k, prior[k])} beforehand"
+                    f"camera {camera.name}: its {name} offset was found {size:.1f} of its sigmas from what "
+                    f"was {camera.prior}: {_size(k, departed[k])} away, known to {_size(k, prior[k])}"
                 )
     return tuple(out)
 

@@ -1,0 +1,101 @@
+"""Rigs through the commands: a simulated one end to end, real captures by their tags."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import rasterio
+
+from sightline.cli.main import app
+from sightline.io.formats.tables import read_columns
+
+SMALL = (
+    "--set", "cameras=3", "--set", "shape=[160, 200]", "--set", "focal_length_px=220", "--set", "bits=8",
+    "--set", "truth_bands=0", "--set", "rig_missing=[[2, 1]]", "--set", "rig_overexposed=[[3, 2]]",
+)  # fmt: skip
+OFFSETS = ("roll", "pitch", "yaw", "x", "y", "z")
+
+
+@pytest.fixture(scope="module")
+def located(tmp_path_factory):
+    """A flight of three cameras: its folder, its result, what was printed."""
+    from typer.testing import CliRunner
+
+    folder = tmp_path_factory.mktemp("rig")
+    run = CliRunner().invoke
+    flight, result = folder / "flight", folder / "located"
+    made = run(
+        app,
+        ["simulate", "frames", "--case", "rig", "--frames", "6", "--seed", "4", *SMALL, "--out", str(flight)],
+    )
+    assert made.exit_code == 0, made.output
+    found = run(app, ["georeference", str(flight / "sequence.toml"), "--out", str(result)])
+    assert found.exit_code == 0, found.output
+    return flight, result, found.output
+
+
+def test_offsets_of_a_rig_lie_within_their_sigmas(located):
+    flight, result, _ = located
+    truth = read_columns(flight / "rig-truth.csv", ("camera", *OFFSETS), text=("camera",))
+    found = read_columns(
+        result / "rig.csv", ("camera", *OFFSETS, *(f"sigma_{name}" for name in OFFSETS)), text=("camera",)
+    )
+    assert found["camera"] == truth["camera"]
+    size = np.array([
+        (np.asarray(found[name]) - np.asarray(truth[name]))[1:] / np.asarray(found[f"sigma_{name}"])[1:]
+        for name in OFFSETS
+    ])  # fmt: skip
+    # twelve numbers, correlated: the largest of twelve normal ones is 3.5 in one of 180 flights
+    assert np.abs(size).max() < 3.5
+    # a degree beforehand; two windows of 0.1 px in a focal length of 220 px are 1e-3
+    assert np.asarray(found["sigma_roll"])[1:].max() < 1e-3
+
+
+def test_captures_without_one_band_are_used_for_the_others(located):
+    flight, result, _ = located
+    summary = json.loads((result / "summary.json").read_text())
+    images = {camera["camera"]: camera["images"] for camera in summary["rig"]}
+    assert images == {"band 1": 6, "band 2": 5, "band 3": 5}
+    assert summary["frames"] == 6 and sum(summary["sources"].values()) == 6
+    assert not (flight / "frames" / "capture-00002-2.tif").exists()
+
+
+def test_bands_of_all_cameras_lie_on_one_map(located):
+    _, result, printed = located
+    summary = json.loads((result / "summary.json").read_text())
+    assert [band["wavelength_nm"] for band in summary["cube"]["bands"]] == [475.0, 657.5, 840.0]
+    shapes = {rasterio.open(path).shape for path in (result / "bands").iterdir()}
+    assert len(shapes) == 1
+    # cameras a degree apart would lie 4 px off; 0.1 px is what bands of a rig have to fit to
+    rms = [pair["rms_px"] for pair in summary["cube"]["pairs"] if pair["rms_px"] is not None]
+    assert rms and min(rms) < 0.1
+    assert "camera band 2: turned by" in printed
+
+
+def test_a_real_capture_is_understood_by_its_tags(real_data, tmp_path):
+    from sightline.io.sequence.load import load_sequence
+
+    toml = tmp_path / "one.toml"
+    toml.write_text(
+        f'frames = "{real_data("rededge_capture")}"\n[surface]\nheight = 105.0\nheight_sigma = 10.0\n'
+    )
+    problem = load_sequence(toml)
+    assert len(problem) == 1
+    assert [camera.name for camera in problem.rig] == ["Blue", "Green", "Red", "NIR", "Red edge"]
+    assert [camera.wavelength_nm for camera in problem.rig] == [475.0, 560.0, 668.0, 840.0, 717.0]
+    assert 1440.0 < problem.rig[4].detector.focal_length_px < 1442.0
+
+
+def test_cameras_that_fire_one_after_the_other_are_refused_by_name(real_data, tmp_path):
+    from sightline.errors import FormatError
+    from sightline.io.sequence.load import load_sequence
+
+    toml = tmp_path / "two.toml"
+    cameras = "".join(
+        f'[[camera]]\nname = "{name}"\nimages = "{name}/IMG_*.jpg"\n' for name in ("nRGB", "NDRE")
+    )
+    toml.write_text(f'frames = "{real_data("sentera_d4k_rig")}"\n{cameras}[surface]\nheight = 20.0\n')
+    with pytest.raises(FormatError, match="nRGB and NDRE do not expose together"):
+        load_sequence(toml)
