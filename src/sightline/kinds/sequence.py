@@ -47,7 +47,7 @@ from sightline.version import VERSION
 
 #: m from the origin beyond which positions are Earth-fixed.
 _EARTH_FIXED = 6e6
-_CUBE_FILES = ("bands/*", "cube.tif", "cube.dat", "cube.hdr", "cube.zarr/*")
+_CUBE_FILES = ("bands/*", "cube.tif", "cube.dat", "cube.hdr", "cube.nc", "cube.zarr/*")
 
 
 class Poses(ResultKind):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -92,9 +93,52 @@ def test_zarr_tells_place_and_wavelengths(tmp_path):
     assert "UTM zone 32N" in group.attrs["crs_wkt"] and group.attrs["transform"] == list(grid.transform)
 
 
+@pytest.mark.parametrize(("form", "engine"), [("zarr", "zarr"), ("netcdf", "netcdf4")])
+@pytest.mark.parametrize("crs", [None, "EPSG:32632", "+proj=tmerc +lat_0=3 +lon_0=9 +a=3396190 +b=3376200"])
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")  # never shown: rioxarray about affine
+@pytest.mark.filterwarnings("error")
+def test_xarray_and_rioxarray_know_where_a_cube_lies(tmp_path, form, engine, crs):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # their imports are not what is tested
+        xarray = pytest.importorskip("xarray")
+        rioxarray = pytest.importorskip("rioxarray")
+    grid, _, values, (name,) = written(tmp_path, [form], crs=crs)
+    options = {"consolidated": True} if form == "zarr" else {}
+    with xarray.open_dataset(tmp_path / name, engine=engine, **options) as opened:
+        cube = opened["cube"]
+        assert cube.dims == ("band", "y", "x") and cube.dtype == np.float32
+        assert np.array_equal(cube.values, values, equal_nan=True)
+        assert set(opened.data_vars) == {"cube"}
+        assert cube.wavelength.values == pytest.approx([500.0, 600.0, 725.5])
+        assert cube.wavelength.attrs["units"] == "nm"
+        assert cube.wavelength.attrs["standard_name"] == "radiation_wavelength"
+        assert (cube.x.values[0], cube.y.values[0]) == (600000.25, 5199999.75)
+        named = [cube[axis].attrs.get("standard_name") for axis in "xy"]
+        assert named == ([None] * 2 if crs is None else [f"projection_{axis}_coordinate" for axis in "xy"])
+        assert cube.rio.transform() == rasterio.Affine(*grid.transform)
+        assert (cube.rio.crs is None) if crs is None else (cube.rio.crs == rasterio.crs.CRS.from_string(crs))
+        # the nearest band of a wavelength, in one line
+        assert np.array_equal(
+            cube.swap_dims(band="wavelength").sel(wavelength=610.0, method="nearest"),
+            values[1],
+            equal_nan=True,
+        )
+    assert rioxarray.__name__  # it gave xarray its `rio`
+
+
+def test_the_same_cube_is_the_same_netcdf(tmp_path):
+    pytest.importorskip("netCDF4")
+    files = []
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        written(tmp_path / name, ["netcdf"], crs="EPSG:32632")
+        files.append((tmp_path / name / "cube.nc").read_bytes())
+    assert files[0] == files[1]
+
+
 def test_what_cannot_be_written_is_reported_before_work_starts(tmp_path, monkeypatch):
-    with pytest.raises(InputError, match="must be among tif, zarr, envi"):
-        CubeFolder(tmp_path, ["netcdf"])
+    with pytest.raises(InputError, match="must be among tif, zarr, netcdf, envi"):
+        CubeFolder(tmp_path, ["hdf4"])
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(InputError, match="which is not installed; run `pip install zarr`"):
         CubeFolder(tmp_path, ["zarr"])

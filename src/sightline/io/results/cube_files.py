@@ -1,9 +1,10 @@
-"""A cube of bands on a map → GeoTIFFs (COG), Zarr, ENVI; written tile by tile.
+"""A cube of bands on a map → GeoTIFFs (COG), Zarr, NetCDF, ENVI; written tile by tile.
 
 Pixels are float32, NaN where there is no value. While the cube is made it lies in one plain file, band after
 band, from which everything else is written; that file with a header is the ENVI form.
 
-Not here: the pixels (``products/frame_cube.py``), the summary (``cube_summary.py``).
+Not here: the pixels (``products/frame_cube.py``), Zarr and NetCDF (``cube_arrays.py``), the summary
+(``cube_summary.py``).
 """
 
 from __future__ import annotations
@@ -19,8 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.execution import available_processors, silent
+from sightline.execution import silent
 from sightline.io.names import file_stem
+from sightline.io.results.cube_arrays import (
+    CHUNK,
+    Blocks,
+    chunks_of,
+    crs_wkt,
+    netcdf_library,
+    write_netcdf,
+    write_zarr,
+    zarr_library,
+)
 from sightline.io.results.registered import TILE, optimise
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
@@ -28,12 +39,12 @@ from sightline.writing import must_fit, naming_file, whole_raster, whole_text
 
 Pixels = NDArray[np.float32]
 
-FORMATS = ("tif", "zarr", "envi")
+FORMATS = ("tif", "zarr", "netcdf", "envi")
+#: Name of the NetCDF file.
+NETCDF = "cube.nc"
 #: Name of the Zarr store, and what a file in it is called: of the store itself, of an array, of a chunk.
 ZARR = "cube.zarr"
-_ZARR_FILE = re.compile(r"cube\.zarr/(zarr\.json|(cube|wavelength|x|y)/(zarr\.json|c(/\d+)+))")
-#: Side of a chunk of the Zarr, px, and bands in one: a spectrum and a map both cost few chunks.
-_CHUNK, _CHUNK_BANDS = 256, 16
+_ZARR_FILE = re.compile(r"cube\.zarr/(zarr\.json|(cube|wavelength|x|y|spatial_ref)/(zarr\.json|c(/\d+)*))")
 _BYTES = 4
 
 
@@ -68,12 +79,14 @@ class RawBand:
 
 
 def check_formats(formats: Sequence[str]) -> None:
-    """InputError if a format is unknown, or Zarr is asked for without the extra ``cube``."""
+    """InputError if a format is unknown, or needs the extra ``cube``, which is not installed."""
     wrong = [name for name in formats if name not in FORMATS]
     if wrong or not formats:
         raise InputError(f"`formats` must be among {', '.join(FORMATS)}, got {list(formats)}")
     if "zarr" in formats:
-        _zarr()
+        zarr_library()
+    if "netcdf" in formats:
+        netcdf_library()
 
 
 class CubeFolder:
@@ -91,7 +104,7 @@ class CubeFolder:
     Raises
     ------
     InputError
-        If a format is unknown, or Zarr is asked for without the extra ``cube``.
+        If a format is unknown, or needs the extra ``cube``, which is not installed.
     """
 
     def __init__(self, folder: Path, formats: Sequence[str] = ("tif",), *, one_file: bool = False) -> None:
@@ -134,9 +147,12 @@ class CubeFolder:
             written += self._write_tiffs(tell)
         if "zarr" in self.formats:
             tell("writing Zarr", 0, 1)
-            workers = _zarr().config.set({"threading.max_workers": available_processors()})
-            with workers, naming_file(self.folder / ZARR):
-                written.append(self._write_zarr())
+            write_zarr(self.folder / ZARR, self.grid, self.layout, self._pixels())
+            written.append(ZARR)
+        if "netcdf" in self.formats:
+            tell("writing NetCDF", 0, 1)
+            write_netcdf(self.folder / NETCDF, self.grid, self.layout, self._pixels())
+            written.append(NETCDF)
         if "envi" in self.formats:
             tell("writing ENVI", 0, 1)
             written += self._write_envi()
@@ -195,37 +211,16 @@ class CubeFolder:
         finally:
             draft.unlink(missing_ok=True)
 
-    def _write_zarr(self) -> str:
-        zarr, path, grid, layout = _zarr(), self.folder / ZARR, self.grid, self.layout
-        group = zarr.create_group(store=path, overwrite=True)
-        shape = (len(layout), *grid.shape)
-        chunks = (min(_CHUNK_BANDS, shape[0]), min(_CHUNK, shape[1]), min(_CHUNK, shape[2]))
-        cube = group.create_array(
-            "cube", shape=shape, chunks=chunks, dtype="float32", fill_value=np.nan,
-            dimension_names=("band", "y", "x"),
-        )  # fmt: skip
-        sources = [self.source(band) for band in range(len(layout))]
-        for first, last in self._blocks(_CHUNK):
-            for k in range(0, len(sources), chunks[0]):
+    def _pixels(self) -> Blocks:
+        """All pixels, chunk of rows by chunk of rows, and of bands."""
+        height, step = CHUNK, chunks_of(self.grid, self.layout)[0]
+        sources = [self.source(band) for band in range(len(self.layout))]
+        for first, last in self._blocks(height):
+            for k in range(0, len(sources), step):
                 some = [
-                    source.read((first, last), (0, grid.shape[1])) for source in sources[k : k + chunks[0]]
+                    source.read((first, last), (0, self.grid.shape[1])) for source in sources[k : k + step]
                 ]
-                cube[k : k + len(some), first:last, :] = np.stack(some)
-        north = grid.centres(np.arange(float(grid.shape[0])), np.zeros(1))[:, 1]
-        east = grid.centres(np.zeros(1), np.arange(float(grid.shape[1])))[:, 0]
-        for name, values, along, unit in (
-            ("wavelength", layout.wavelength_nm, "band", "nm"), ("y", north, "y", "m"), ("x", east, "x", "m"),
-        ):  # fmt: skip
-            array = group.create_array(
-                name, data=np.asarray(values, dtype=np.float64), dimension_names=(along,)
-            )
-            array.attrs["units"] = unit
-        group.attrs["band_names"] = list(layout.names)
-        group.attrs["transform"] = list(grid.transform)
-        wkt = crs_wkt(grid)
-        if wkt:
-            group.attrs["crs_wkt"] = wkt
-        return ZARR
+                yield (slice(k, k + len(some)), slice(first, last)), np.stack(some)
 
     def _write_envi(self) -> list[str]:
         self.draft.replace(self.folder / "cube.dat")
@@ -245,21 +240,12 @@ def band_files(layout: BandLayout) -> list[str]:
 
 def is_map_file(name: str) -> bool:
     """Whether a name, from the folder of the result on, is one that files of maps have."""
-    return re.fullmatch(r"bands/[^/]+\.tif|cube\.(tif|dat|hdr)", name) is not None
+    return re.fullmatch(r"bands/[^/]+\.tif|cube\.(tif|nc|dat|hdr)", name) is not None
 
 
 def is_zarr_file(name: str) -> bool:
     """Whether a file, named from the folder of the result on, is part of its Zarr store."""
     return _ZARR_FILE.fullmatch(name) is not None
-
-
-def crs_wkt(grid: CubeGrid) -> str:
-    """WKT of the map's coordinate system; "" for local metres."""
-    if grid.system.crs is None:
-        return ""
-    from pyproj import CRS
-
-    return CRS.from_user_input(grid.system.crs).to_wkt(version="WKT1_GDAL")
 
 
 def envi_header(grid: CubeGrid, layout: BandLayout) -> str:
@@ -297,11 +283,3 @@ def _map_end(grid: CubeGrid) -> str:
     if _map_name(grid) != "UTM":
         return ""
     return f", {int(system[-2:])}, {'North' if system.startswith('EPSG:326') else 'South'}, WGS-84"
-
-
-def _zarr() -> Any:
-    try:
-        import zarr
-    except ImportError:
-        raise InputError("Zarr files need zarr, which is not installed; run `pip install zarr`") from None
-    return zarr

@@ -17,11 +17,11 @@ from sightline.applications.expected_cost import Cost, flight_cost, maps_cost
 from sightline.applications.frame_cube import CubeSummary, assemble_cube
 from sightline.applications.sequence_poses import SequencePoses, check_flight
 from sightline.errors import EstimationError, InputError, SightlineError
+from sightline.io.results.cube_arrays import crs_wkt
 from sightline.io.results.cube_files import (
     ZARR,
     CubeFolder,
     check_formats,
-    crs_wkt,
     is_map_file,
     is_zarr_file,
 )

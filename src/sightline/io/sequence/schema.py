@@ -280,8 +280,8 @@ class CubeSection(SchemaSection):
         description="nm; red, green and blue of the pictures, each the band nearest to it; default 650, 550, "
         "470 where the bands reach them",
     )
-    formats: list[Literal["tif", "zarr", "envi"]] = Field(
-        default=["tif"], max_length=3, description='Files; "zarr" needs the extra cube'
+    formats: list[Literal["tif", "zarr", "netcdf", "envi"]] = Field(
+        default=["tif"], max_length=4, description='Files; "zarr" and "netcdf" need the extra cube'
     )
     one_file: bool = Field(default=False, description="One GeoTIFF of all bands in place of one for each")
 
@@ -303,7 +303,7 @@ class CubeSection(SchemaSection):
     @classmethod
     def _some_format(cls, value: list[str]) -> list[str]:
         if not value or len(set(value)) < len(value):
-            raise ValueError('one or more of "tif", "zarr", "envi" are expected, each once')
+            raise ValueError('one or more of "tif", "zarr", "netcdf", "envi" are expected, each once')
         return value
 
 
