@@ -17,7 +17,7 @@ UV ?= uv
 # Compiled kernels are kept here between runs and shared by the worker processes of the tests.
 export NUMBA_CACHE_DIR ?= $(abspath $(VENV))/numba-cache
 
-.PHONY: all check style test fuzz demo validate bench report-check constraints environment clean
+.PHONY: all check style test docs dist fuzz demo validate bench report-check constraints environment clean
 
 all: check test
 
@@ -52,6 +52,10 @@ check: style  ## style, types, architecture
 
 test: $(DEV)  ## all tests; what had to be left out is named at the end
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(ARGS)
+
+docs: $(DEV)  ## the site in build/site, from docs/: its notebooks are run, its links and names checked; no network
+	cd website && NO_MKDOCS_2_WARNING=1 OMP_NUM_THREADS=1 $(abspath $(BIN))/python -m mkdocs build --quiet
+	OMP_NUM_THREADS=1 $(BIN)/python website/check.py
 
 fuzz: $(DEV)  ## spoilt inputs for every reader, MINUTES long; a new seed each time unless SEED is given
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(filter command line environment,$(origin SEED)),--seed $(SEED)) $(ARGS)

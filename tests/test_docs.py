@@ -104,6 +104,74 @@ def test_every_link_to_a_part_of_a_page_leads_there(page):
     assert not missing
 
 
+#: What runs the blocks of commands and Python of a page that are not marked as not run.
+RUN_BY = {
+    "README.md": (".ci/run", "tests/test_examples.py"),
+    "CONTRIBUTING.md": (".ci/run",),
+    "docs/flights.md": ("tests/test_examples.py",),
+    "docs/python.md": ("tests/test_examples.py",),
+    "docs/start.md": ("website/check.py",),
+    "docs/stereo.md": ("tests/test_examples.py", "docs/tutorials/stereo.py"),
+    "docs/tdi.md": ("tests/test_examples.py",),
+    "docs/validation.md": ("Makefile",),  # validate and bench
+}
+
+
+def blocks(page: Path) -> list[tuple[str, str, str]]:
+    """Why it is not run (or ""), language and text of each block of a page."""
+    found = re.findall(
+        r"(?ms)^(?:<!-- not run: ([^\n]+?) -->\n)?```(\w+)[^\n]*\n(.*?)^```", page.read_text("utf-8")
+    )
+    return [(why, language, body) for why, language, body in found]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_block_of_code_is_run_or_says_why_not(page):
+    import tomllib
+
+    for why, language, body in blocks(page):
+        if language == "toml":
+            assert tomllib.loads(body)
+        elif language in ("sh", "python") and not why:
+            runners = RUN_BY.get(page.relative_to(ROOT).as_posix(), ())
+            assert runners and all((ROOT / one).is_file() for one in runners), (
+                f"not run and not marked: {body}"
+            )
+
+
+def test_every_command_of_a_page_has_its_options():
+    import shlex
+
+    import click
+    from typer.main import get_command
+
+    from sightline.cli.main import app
+
+    def parse(command: click.Command, words: list[str], parent: click.Context | None = None) -> None:
+        context = click.Context(command, parent, info_name=command.name)
+        values, rest, _ = command.make_parser(context).parse_args(words)
+        if isinstance(command, click.Group) and rest and not values.get("help"):
+            inner = command.get_command(context, rest[0])
+            assert inner is not None, f"there is no command {rest[0]}"
+            parse(inner, rest[1:], context)
+
+    lines = [
+        line.strip()
+        for page in PAGES
+        for _, language, body in blocks(page)
+        if language == "sh"
+        for line in body.splitlines()
+        if line.strip().startswith("sightline ")
+    ]
+    assert len(lines) > 20
+    for line in lines:
+        words = shlex.split(line, comments=True)
+        try:
+            parse(get_command(app), words[1:])
+        except click.UsageError as error:
+            raise AssertionError(f"{line}: {error.format_message()}") from None
+
+
 def test_directions_point_where_their_page_draws_them():
     import numpy as np
 

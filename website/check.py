@@ -104,5 +104,7 @@ def run_page(page: Path) -> None:
 if __name__ == "__main__":
     wrong = faults_of_pages()
     run_page(ROOT / "docs" / "start.md")
-    print("\n".join(wrong) or "every link leads somewhere, nothing is fetched, every public name is documented")
+    print(
+        "\n".join(wrong) or "every link leads somewhere, nothing is fetched, every public name is documented"
+    )
     sys.exit(bool(wrong))

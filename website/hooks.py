@@ -16,12 +16,12 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-import notebooks  # noqa: E402
-from mkdocs.structure.files import File, Files  # noqa: E402
-from pymdownx.slugs import slugify  # noqa: E402
+from mkdocs.structure.files import File, Files
+from pymdownx.slugs import slugify
 
-import sightline  # noqa: E402
-from sightline.execution import available_processors  # noqa: E402
+import notebooks
+import sightline
+from sightline.execution import available_processors
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -31,7 +31,17 @@ PROJECT = {
     "CHANGELOG.md": "project/changes.md", "SECURITY.md": "project/security.md", "README.md": "project/readme.md",
 }  # fmt: skip
 #: Guides in their order.
-GUIDES = ("strips", "stereo", "tdi", "flights", "commands", "which-tool", "conventions", "gotchas", "glossary")
+GUIDES = (
+    "strips",
+    "stereo",
+    "tdi",
+    "flights",
+    "commands",
+    "which-tool",
+    "conventions",
+    "gotchas",
+    "glossary",
+)
 #: Pages that have a place of their own.
 PLACED = ("index", "start", "python", "formats", "validation", *GUIDES)
 #: Tutorials in their order, by S1 to S4; others follow.
@@ -106,7 +116,11 @@ def _relinked(text: str, here: Path, there: Path) -> str:
             return words
         if shown.is_dir():
             return words
-        if shown.suffix == ".py" and shown.is_relative_to(DOCS) and shown.parent.name in ("tutorials", "gallery"):
+        if (
+            shown.suffix == ".py"
+            and shown.is_relative_to(DOCS)
+            and shown.parent.name in ("tutorials", "gallery")
+        ):
             shown = shown.with_suffix(".md")
         return f"[{words}]({Path(os.path.relpath(shown, there)).as_posix()}{part})"
 
@@ -143,14 +157,25 @@ def _reference() -> dict[str, str]:
         groups.setdefault(LAYERS.get(layer, COMMON), []).append(name)
     order = list(dict.fromkeys([*LAYERS.values(), COMMON]))
     pages = {}
-    lines = ["# Reference", "", "Every name of `import sightline`. What each command does in Python: [Python](../python.md).", ""]
+    lines = [
+        "# Reference",
+        "",
+        "Every name of `import sightline`. What each command does in Python: [Python](../python.md).",
+        "",
+    ]
     for title in (one for one in order if one in groups):
         file = re.sub(r"\W+", "-", title.lower()) + ".md"
         text = [f"# {title}", ""]
         lines += [f"## {title}", "", "| | |", "|---|---|"]
         for name in groups[title]:
             target = f"{sightline._MODULE_OF[name]}.{name}"
-            said = (getattr(sightline, name).__doc__ or "").strip().split("\n\n")[0].replace("\n", " ").replace("|", "\\|")
+            said = (
+                (getattr(sightline, name).__doc__ or "")
+                .strip()
+                .split("\n\n")[0]
+                .replace("\n", " ")
+                .replace("|", "\\|")
+            )
             lines.append(f"| [`{name}`]({file}#{target}) | {' '.join(said.split())} |")
             text += [f"::: {target}", ""]
         lines.append("")
@@ -164,7 +189,8 @@ def _navigation() -> list[Any]:
     guides = [name for name in GUIDES if name in there] + [name for name in there if name not in PLACED]
     reference = list(_reference())
     return [
-        {"Home": ["index.md", "start.md"]},
+        {"Home": "index.md"},
+        {"Start": "start.md"},
         {"Tutorials": [f"tutorials/{path.stem}.md" for path in _in_order("tutorials")]},
         {"Gallery": ["gallery/index.md", *(f"gallery/{path.stem}.md" for path in _in_order("gallery"))]},
         {"Guides": [f"{name}.md" for name in guides]},

@@ -58,7 +58,9 @@ def read_cells(path: Path) -> nbformat.NotebookNode:
         if "[markdown]" in first:
             cells.append(new_markdown_cell(re.sub(r"(?m)^# ?", "", body).strip()))
         elif body.strip():
-            cells.append(new_code_cell(re.sub(r"(?m)^# !", "", re.sub(r"\A\s*# !", "%%sh\n# !", body)).strip()))
+            cells.append(
+                new_code_cell(re.sub(r"(?m)^# !", "", re.sub(r"\A\s*# !", "%%sh\n# !", body)).strip())
+            )
     for number, cell in enumerate(cells):
         cell["id"] = f"cell-{number}"
     meta = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}

@@ -63,7 +63,10 @@ ax.legend()
 
 # %%
 layers = [cube.sel(wavelength=nm, method="nearest") for nm in (850, 650, 550)]
-rgb = np.stack([(layer - layer.quantile(0.02)) / (layer.quantile(0.98) - layer.quantile(0.02)) for layer in layers], axis=-1)
+rgb = np.stack(
+    [(layer - layer.quantile(0.02)) / (layer.quantile(0.98) - layer.quantile(0.02)) for layer in layers],
+    axis=-1,
+)
 fig, ax = plt.subplots()
 ax.imshow(np.clip(np.nan_to_num(rgb), 0, 1))
 ax.grid(False)

@@ -23,7 +23,9 @@ labels = [f"{axis} {camera}" for camera in result.cameras for axis in ("roll", "
 # %%
 known = np.stack([truth[axis] for axis in ("roll", "pitch", "yaw")], axis=1).ravel() / arcsec
 fig, ax = plt.subplots()
-ax.errorbar(labels, result.angles.ravel() / arcsec, result.sigma.ravel() / arcsec, fmt="o", capsize=4, label="found")
+ax.errorbar(
+    labels, result.angles.ravel() / arcsec, result.sigma.ravel() / arcsec, fmt="o", capsize=4, label="found"
+)
 ax.plot(labels, known, "k_", markersize=18, label="truth")
 ax.set_ylabel("arcsec")
 ax.legend()

@@ -38,8 +38,12 @@ arcsec = np.pi / 648000.0
 truth = np.genfromtxt("pass/orientation-truth.csv", delimiter=",", names=True)
 true = np.stack([truth[axis] for axis in ("roll", "pitch", "yaw")], axis=-1)
 for name, angles, sigma, known in zip(result.cameras, result.angles, result.sigma, true, strict=True):
-    for axis, a, s, k in zip(("roll", "pitch", "yaw"), angles / arcsec, sigma / arcsec, known / arcsec, strict=True):
-        print(f"camera {name} {axis:5} {a:+7.2f} ± {s:4.2f}   truth {k:+7.2f}   {abs(a - k) / s:.1f} sigma off")
+    for axis, a, s, k in zip(
+        ("roll", "pitch", "yaw"), angles / arcsec, sigma / arcsec, known / arcsec, strict=True
+    ):
+        print(
+            f"camera {name} {axis:5} {a:+7.2f} ± {s:4.2f}   truth {k:+7.2f}   {abs(a - k) / s:.1f} sigma off"
+        )
 
 # %% [markdown]
 # ## What is known least

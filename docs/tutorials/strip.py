@@ -10,6 +10,7 @@
 # that the platform flies smoothly. `scene.motion` is what really happened.
 
 # %%
+import matplotlib.pyplot as plt
 import numpy as np
 
 import sightline

@@ -41,8 +41,7 @@ count = 32
 [mtf]
 optics_mtf = 0.35
 diffusion_sigma_px = 0.2
-""");
-
+""")
 # %% [markdown]
 # ## Choose
 #
