@@ -1,7 +1,7 @@
 """What is made while the site is built: notebooks, gallery, reference, and the order of the pages.
 
-Every ``docs/*.md`` gets into the navigation by itself: those that `GUIDES` does not name stand after it. Links that lead out of
-``docs/`` lead to a page where the site has one, to a copy where it is an example, and are plain text else.
+Every ``docs/*.md`` gets into the navigation by itself: those that `GUIDES` does not name stand after it. Links
+that lead out of ``docs/`` lead to a page where the site has one, to a copy of an example, and are plain text else.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ DOCS = ROOT / "docs"
 #: Pages of the repository outside docs/, and where they stand on the site.
 PROJECT = {
     "ARCHITECTURE.md": "project/architecture.md", "CONTRIBUTING.md": "project/contributing.md",
-    "CHANGELOG.md": "project/changes.md", "SECURITY.md": "project/security.md", "README.md": "project/readme.md",
+    "CHANGELOG.md": "project/changes.md", "SECURITY.md": "project/security.md",
+    "README.md": "project/readme.md",
 }  # fmt: skip
 #: Guides in their order.
 GUIDES = (
@@ -48,8 +49,10 @@ PLACED = ("index", "start", "python", "formats", "validation", *GUIDES)
 SYSTEMS = ("strip", "stereo", "tdi", "flight")
 #: What the reference calls the names of each layer; what is not here is "Common".
 LAYERS = {
-    "applications": "Calls and their results", "io": "Read files", "kinds": "Read files", "geometry": "Cameras, motion, ground",
-    "imaging": "Images and detectors", "matching": "Matching", "motion": "Strips", "photogrammetry": "Stereo and flights",
+    "applications": "Calls and their results", "io": "Read files", "kinds": "Read files",
+    "geometry": "Cameras, motion, ground",
+    "imaging": "Images and detectors", "matching": "Matching", "motion": "Strips",
+    "photogrammetry": "Stereo and flights",
     "products": "Products", "tdi": "TDI", "simulate": "Simulation", "evaluation": "Evaluation",
 }  # fmt: skip
 COMMON = "Errors, execution and what all share"
@@ -71,7 +74,7 @@ def on_files(files: Files, config: Any) -> Files:
         for path in _in_order(folder):
             made = done[path]
             place = f"{folder}/{path.stem}"
-            note = f"[This page as a notebook]({path.stem}.ipynb). Every cell was run when this page was made.\n\n"
+            note = f"[As a notebook]({path.stem}.ipynb). Every cell was run when this page was made.\n\n"
             first, _, rest = made.markdown.partition("\n")
             files.append(File.generated(config, f"{place}.md", content=f"{first}\n\n{note}{rest}"))
             files.append(File.generated(config, f"{place}.ipynb", content=made.notebook))
@@ -144,7 +147,7 @@ def _thumbnail(page: str, picture: notebooks.Picture) -> str:
 def _gallery(thumbnails: list[str]) -> str:
     inside = "\n".join(thumbnails)
     return (
-        "# Gallery\n\nEach picture leads to the code that makes it. All of them were made when this site was built.\n\n"
+        "# Gallery\n\nEach picture leads to the code that makes it. All were made when this site was built.\n\n"
         f'<div class="gallery">\n{inside}\n</div>\n'
     )
 

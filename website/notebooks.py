@@ -1,7 +1,7 @@
 """Scripts of cells (``# %%``) → notebooks, run by nbclient → pages with what they printed and drew.
 
-A cell begins with ``# %%``, a cell of text with ``# %% [markdown]``, whose lines are comments. The same file runs
-as a plain script, and opens as a notebook in editors that know this form. A line ``# !command`` of a code cell is a command.
+A cell begins with ``# %%``, a cell of text with ``# %% [markdown]``, whose lines are comments. Editors that know
+this form open the same file as a notebook. A cell of lines ``# !command`` is commands.
 """
 
 from __future__ import annotations
