@@ -1,7 +1,7 @@
 """What is made while the site is built: notebooks, gallery, reference, and the order of the pages.
 
-Every ``docs/*.md`` gets into the navigation by itself: those that `GUIDES` does not name stand after it. Links
-that lead out of ``docs/`` lead to a page where the site has one, to a copy of an example, and are plain text else.
+Every ``docs/*.md`` gets into the navigation by itself: those that `GUIDES` does not name stand after it.
+Links out of ``docs/`` lead to a page where the site has one, to a copy of an example, or are plain text.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _thumbnail(page: str, picture: notebooks.Picture) -> str:
 def _gallery(thumbnails: list[str]) -> str:
     inside = "\n".join(thumbnails)
     return (
-        "# Gallery\n\nEach picture leads to the code that makes it. All were made when this site was built.\n\n"
+        "# Gallery\n\nEach picture leads to its code. All were made when this site was built.\n\n"
         f'<div class="gallery">\n{inside}\n</div>\n'
     )
 

@@ -1,7 +1,7 @@
 """Scripts of cells (``# %%``) → notebooks, run by nbclient → pages with what they printed and drew.
 
-A cell begins with ``# %%``, a cell of text with ``# %% [markdown]``, whose lines are comments. Editors that know
-this form open the same file as a notebook. A cell of lines ``# !command`` is commands.
+A cell begins with ``# %%``, a cell of text with ``# %% [markdown]``, whose lines are comments. Editors that
+know this form open the same file as a notebook. A cell of lines ``# !command`` is commands.
 """
 
 from __future__ import annotations
