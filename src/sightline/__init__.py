@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         match_bands,
         match_rasters,
     )
+    from sightline.applications.reference_tie import ReferenceTie, tie_to_reference
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
@@ -133,6 +134,7 @@ _MODULE_OF = {
     "RasterMatches": "sightline.applications.raster_matches",
     "Rays": "sightline.geometry.camera",
     "RecoverOptions": "sightline.motion.strip.strip",
+    "ReferenceTie": "sightline.applications.reference_tie",
     "Registration": "sightline.applications.registration",
     "Result": "sightline.result",
     "ScanColumns": "sightline.tdi.setting",
@@ -189,6 +191,7 @@ _MODULE_OF = {
     "score_motion": "sightline.evaluation.score",
     "sequence_case": "sightline.simulate.sequence",
     "stereo_case": "sightline.simulate.stereo",
+    "tie_to_reference": "sightline.applications.reference_tie",
     "write_junocam_acquisition": "sightline.io.formats.junocam",
 }
 
@@ -238,6 +241,7 @@ __all__ = [
     "RasterMatches",
     "Rays",
     "RecoverOptions",
+    "ReferenceTie",
     "Registration",
     "Result",
     "ScanColumns",
@@ -294,6 +298,7 @@ __all__ = [
     "score_motion",
     "sequence_case",
     "stereo_case",
+    "tie_to_reference",
     "write_junocam_acquisition",
 ]
 

@@ -389,15 +389,46 @@ def match_rasters(
     outlier. Where pixels of b are larger, those of a are averaged to about their size; where they are
     smaller, those of b.
     """
-    laid = laid_on(a, b, geometry)
-    k = laid.reduced
-    default = WINDOWS[laid.geometry]
-    window, step, size = _windows(laid, default, window, step)
-    points = _points(laid.a.shape, size, step)
-    shape = (len(np.unique(points[:, 0])), len(np.unique(points[:, 1])))
     reach = SEARCH if search_px is None else search_px
     if not (np.isfinite(reach) and 0.0 <= reach <= max(*a.shape, *b.shape)):
         raise InputError(f"`search_px` is {reach:g}; 0 to the side of an image is allowed")
+    laid = laid_on(a, b, geometry)
+    options = {"min_score": min_score, "max_sigma_px": max_sigma_px, "threads": threads}
+    return match_laid(
+        laid, names or _names(a, b), WINDOWS[laid.geometry], window, step, reach, progress, **options
+    )
+
+
+def match_laid(
+    laid: Overlay,
+    names: tuple[str, str],
+    default: tuple[int, int],
+    window: tuple[int, int] | None,
+    step: tuple[int, int] | None,
+    reach: float,
+    progress: Progress,
+    **options: Any,
+) -> RasterMatches:
+    """Shifts between two images that are laid on each other.
+
+    Parameters
+    ----------
+    laid : Overlay
+    names : (str, str)
+    default : (int, int)
+        Window where none is given; smaller for small images.
+    window, step : (int, int) or None
+        px of image a.
+    reach : float
+        px of image a; furthest shift.
+    progress : callable
+    options
+        Of `match_images`.
+    """
+    k = laid.reduced
+    window, step, size = _windows(laid, default, window, step)
+    points = _points(laid.a.shape, size, step)
+    shape = (len(np.unique(points[:, 0])), len(np.unique(points[:, 1])))
     progress("finding the shift that all windows share")
     learnt = learn_shifts(laid.a, laid.b, tuple(laid.offset), reach=reach / k, inside=laid.inside)
     inside = laid.inside(points)
@@ -409,8 +440,7 @@ def match_rasters(
     whitening = _whitening(laid, points[inside], predicted[inside], size, search)
     found = match_images(
         laid.a, laid.b, points, predicted, window=size, search_px=search, whitening=whitening,
-        min_score=min_score, max_sigma_px=max_sigma_px, threads=threads,
-        step=steps_of(progress, "matching windows"),
+        step=steps_of(progress, "matching windows"), **options,
     )  # fmt: skip
     found = _without_outliers(found, laid.offset, shape)
     tried = int(inside.sum())
@@ -426,7 +456,7 @@ def match_rasters(
         k,
         _common(learnt, common, laid),
         np.nan if common is None else common.strength,
-        names or _names(a, b),
+        names,
         tuple(_warnings(found, tried, laid, whitening)),
         laid,
     )

@@ -36,6 +36,7 @@ from sightline.cli import (
     score,
     simulate,
     tdi,
+    tie,
     version,
     warm_up,
 )
@@ -96,6 +97,7 @@ app.command("georeference", epilog=examples("georeference"))(georeference.georef
 app.command("tdi", epilog=examples("tdi"))(tdi.tdi)
 app.command("noise", epilog=examples("noise"))(noise.noise)
 app.command("match", epilog=examples("match"))(match.match)
+app.command("tie", epilog=examples("tie"))(tie.tie)
 app.command("score", epilog=examples("score"))(score.score)
 app.command("check", epilog=examples("check"))(check.check)
 app.command("schema", epilog=examples("schema"))(schema.schema)

@@ -30,7 +30,7 @@ SEQUENCE_CASES = (
     "cubesat",
 )  # fmt: skip
 #: What stands at the end of --help of each command: it can be typed as it stands, in this order; `layout`,
-#: `noise` and `match` take files of the user's own.
+#: `noise`, `match` and `tie` take files of the user's own.
 EXAMPLES = {
     "demo": ("demo", "demo --case clouds --seed 2 --out clouds"),
     "simulate line-of-sight": (
@@ -70,6 +70,7 @@ EXAMPLES = {
         "match before.tif after.tif --out shifts",
         "match scene.tif --bands all --out shifts",
     ),
+    "tie": ("tie strip.toml --reference ortho.tif --dem dem.tif --out tied",),
     "schema": ("schema acquisition",),
     "version": ("version",),
     "warm-up": ("warm-up",),

@@ -794,6 +794,29 @@ class BandMatchSummary(RunSummary):
     pairs: list[BandPair] = _is("Of the pairs that were matched")
 
 
+class TiedImage(SummaryPart):
+    """An image that was tied to a reference."""
+
+    name: str
+    points: Count = _is("Control points of it")
+    offset_px: Pair = _is("px (lines, columns), median: the image less its camera as given")
+    strength: Number = _is("Sigmas by which the shift that its windows share stands out")
+    sigma_px: Pair = _is("px; median sigma of a match")
+    windows: MatchCounts = _is("How many")
+
+
+class TieSummary(RunSummary):
+    """Of ``tie``."""
+
+    result: Literal["ReferenceTie"] = _is("Class of the result in Python")
+    reference: str = _is("Name of its file")
+    points: Count = _is("Control points in all")
+    control_sigma_px: float = _is("px; of the pixels of all")
+    sigma: Number = _is("m; median of the control points")
+    images: list[TiedImage] = _is("That were tied")
+    left_out: dict[str, str] = _is("Images that were not, and why")
+
+
 # --------------------------------------------------------------------------------------- score
 
 
@@ -828,7 +851,7 @@ class ScoreSummary(ResultSummary):
 SUMMARIES: tuple[type[ResultSummary], ...] = (
     RecoverySummary, RegistrationSummary, MosaicSummary, LayoutSummary, OrientationSummary, PredictionSummary,
     SequenceSummary, CubeResultSummary, TdiSummary, NoiseSummary, RasterMatchSummary,
-    BandMatchSummary, ScoreSummary,
+    BandMatchSummary, TieSummary, ScoreSummary,
 )  # fmt: skip
 
 

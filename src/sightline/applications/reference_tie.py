@@ -1,0 +1,379 @@
+"""Control points between images and a map: a reference orthoimage found in images whose cameras are rough.
+
+The reference is laid on each image as its camera, roughly known, sees the ground of the DEM; what is left
+between the two is how far the camera is off. Where the image shows a window of the reference, the ground of
+that window is known from the map.
+
+Not here: the comparison of images (``raster_matches.py``), what control points do
+(``motion/strip/fusion.py``, ``photogrammetry/block/point_priors.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.applications.raster_matches import WINDOWS, Overlay, RasterMatches, match_laid
+from sightline.errors import EstimationError, GeometryError, InputError
+from sightline.execution import Progress, silent
+from sightline.geometry.camera import Camera, PushbroomCamera
+from sightline.geometry.earth import local_axes, to_geodetic
+from sightline.geometry.surface import Dem, Surface
+from sightline.imaging.placed import PlacedImage
+from sightline.imaging.reduce import ReducedImage, reduced_pixels, whole_pixels
+from sightline.imaging.source import ImageSource
+from sightline.imaging.warp import WarpedImage, lattice_map
+from sightline.matching.coarse import learn_shifts
+from sightline.matching.select import spread_subset
+from sightline.products.cube_grid import MapSystem
+from sightline.result import Result, makes_result
+
+__all__ = ["ReferenceTie", "tie_to_reference"]
+
+Array = NDArray[np.float64]
+Mapping = Callable[[Array], Array]
+
+#: px; how far the cameras may be off.
+SEARCH = 200.0
+#: Control points in all, at most, and images of a flight that are tried.
+POINTS, IMAGES = 400, 40
+#: Columns between places where the map to the reference is handed to the resampler.
+_SPACING = 8
+#: px beyond an image where its camera still has rays.
+_AROUND = 12.0
+#: px; least sigma of a control point's pixel.
+_LEAST_PX = 0.005
+#: Share of an image that the reference must cover for it to be tried.
+_COVERED = 0.1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ReferenceTie(Result):
+    """Control points that a reference gives.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of all images.
+    image : (N,) int
+        Of each control point.
+    pixels : (N, 2)
+        Where the image shows it, (line, column).
+    ground : (N, 3)
+        m, world axes: on the DEM, where the reference has it.
+    sigma : (N,)
+        m, per coordinate: the reference's own and the part of the match beyond `control_sigma_px`.
+    control_sigma_px : float
+        px, of the pixels of all.
+    match_sigma_px : (N, 2)
+        px; of each match, lines and columns.
+    offset_px : (N, 2)
+        px; where the image shows the point, less where its camera as given would.
+    matches : dict of int to RasterMatches
+        Of each image that was tied.
+    left_out : dict of int to str
+        Why others were not.
+    places : (N, 3)
+        `ground` in the axes of tables.
+    warnings : tuple of str
+    """
+
+    names: tuple[str, ...]
+    image: NDArray[np.intp]
+    pixels: Array
+    ground: Array
+    sigma: Array
+    control_sigma_px: float
+    match_sigma_px: Array
+    offset_px: Array
+    matches: dict[int, RasterMatches]
+    left_out: dict[int, str]
+    places: Array
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """An image, its camera, and where each of its pixels lies on the reference."""
+
+    image: ImageSource
+    camera: Camera
+    surface: Surface
+    reference: PlacedImage
+    system: MapSystem
+
+    def ground(self, pixels: Array) -> Array:
+        """World points (N, 3) m of pixels (N, 2) by the camera as given; NaN where it sees no ground."""
+        out = np.full((len(pixels), 3), np.nan)
+        # cameras have poses for their own lines, and a few around
+        with np.errstate(invalid="ignore"):
+            inside = (pixels > -_AROUND).all(axis=1) & (
+                pixels < np.array(self.image.shape) + _AROUND - 1
+            ).all(axis=1)
+        if inside.any():
+            out[inside] = self.camera.locate(pixels[inside], self.surface)
+        return out
+
+    def seen(self, pixels: Array) -> Array:
+        """Pixels (N, 2) of the reference; NaN where there is none."""
+        places = self.system.places(self.ground(pixels))
+        return self.reference.pixels(places[:, :2])
+
+    def turn(self, pixel: Array) -> Array:
+        """(2, 2); change of the reference's pixel with that of the image, about pixel (1, 2)."""
+        step = np.eye(2) * 2.0
+        return np.stack([(self.seen(pixel + s) - self.seen(pixel - s))[0] / 4.0 for s in step], axis=1)
+
+
+@makes_result
+def tie_to_reference(
+    images: Sequence[ImageSource],
+    cameras: Sequence[Camera],
+    reference: ImageSource,
+    dem: Dem,
+    *,
+    names: Sequence[str] | None = None,
+    search_px: float = SEARCH,
+    window: tuple[int, int] | None = None,
+    points: int = POINTS,
+    reference_sigma: float = 0.0,
+    dem_sigma: float = 0.0,
+    to_table: Mapping | None = None,
+    progress: Progress = silent,
+) -> ReferenceTie:
+    """Control points of images: where they show what an orthoimage shows, and where that lies.
+
+    Parameters
+    ----------
+    images : sequence of ImageSource
+        Bands of a strip (one is enough: the others are tied to it by their own matches), frames.
+    cameras : sequence of Camera
+        As they are known: off by up to `search_px`.
+    reference : ImageSource
+        A `PlacedImage` on a map; without a coordinate system where the world is flat.
+    dem : Dem
+        The ground, in the same world as the cameras.
+    names : sequence of str, optional
+    search_px : float
+        px of the images; furthest that cameras may be off.
+    window : (int, int), optional
+        px of windows; (10, 100) of push-brooms, (32, 32) of frames.
+    points : int
+        Control points in all, at most: the best known, evenly spread.
+    reference_sigma : float
+        m, per coordinate; of the reference's places, each for itself.
+    dem_sigma : float
+        m; of heights. It counts as far as the line of sight is tilted, and whole where a frame looks on.
+    to_table : callable, optional
+        World points (N, 3) in the axes in which control points are written; those of the world by default.
+    progress : callable
+
+    Returns
+    -------
+    ReferenceTie
+
+    Raises
+    ------
+    InputError
+        If the reference has no place, or not the world's axes; if numbers are out of range.
+    GeometryError
+        If no image sees the reference's ground.
+    EstimationError
+        If no image shows what the reference shows there: which is decided by whether chance explains the
+        shift that its windows share.
+
+    Notes
+    -----
+    An error that all of the reference has in common (its own shift) cannot be seen: it is an error of the
+    attitude that these points give. `reference_sigma` is that of each point for itself.
+    """
+    labels = tuple(names or (f"image {k + 1}" for k in range(len(images))))
+    placed, system = _checked(images, cameras, reference, dem, labels, search_px, points)
+    if not (0.0 <= reference_sigma < np.inf and 0.0 <= dem_sigma < np.inf):
+        raise InputError(
+            f"`reference_sigma` and `dem_sigma` are 0 m or more, got {reference_sigma:g} and {dem_sigma:g}"
+        )
+    found: dict[int, RasterMatches] = {}
+    views: dict[int, _View] = {}
+    left: dict[int, tuple[type, str]] = {}
+    for number, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+        progress("tying images to the reference", number, len(images))
+        view = _View(image, camera, dem, placed, system)
+        try:
+            found[number] = _matched(view, labels[number], window, search_px)
+            views[number] = view
+        except (EstimationError, GeometryError, InputError) as error:
+            left[number] = type(error), str(error)
+    if not found:
+        kind, reason = next(iter(left.values()))
+        raise kind(f"{labels[next(iter(left))]}: {reason}")
+    each = -(-points // len(found))
+    rows = {number: _chosen(matches, each) for number, matches in found.items()}
+    parts = [_points_of(views[k], found[k], rows[k], reference_sigma, dem_sigma) for k in sorted(found)]
+    of_image = np.concatenate([np.full(len(rows[k]), k, dtype=np.intp) for k in sorted(found)])
+    pixels, ground, base, sigma_px, offset, gsd = (
+        np.concatenate([part[n] for part in parts]) for n in range(6)
+    )
+    mean_px = np.sqrt(0.5 * (sigma_px**2).sum(axis=1))
+    common = max(float(np.quantile(mean_px, 0.1)), _LEAST_PX)
+    extra = np.maximum(mean_px**2 - common**2, 0.0) * gsd**2
+    # every row needs a sigma; a thousandth of a pixel is none
+    sigma = np.sqrt(base**2 + extra + (1e-3 * gsd) ** 2)
+    said = tuple(f"{labels[k]}: left out: {text}" for k, (_, text) in left.items())
+    return ReferenceTie(
+        labels, of_image, pixels, ground, sigma, common, sigma_px, offset, found,
+        {k: text for k, (_, text) in left.items()}, ground if to_table is None else to_table(ground),
+        (*_warnings(found, labels), *said),
+    )  # fmt: skip
+
+
+def _checked(
+    images: Sequence[ImageSource],
+    cameras: Sequence[Camera],
+    reference: ImageSource,
+    dem: Dem,
+    names: Sequence[str],
+    search_px: float,
+    points: int,
+) -> tuple[PlacedImage, MapSystem]:
+    """The reference with its map, or what does not fit."""
+    if not len(images) == len(cameras) == len(names) > 0:
+        raise InputError(f"as many cameras as images, one or more, got {len(cameras)} and {len(images)}")
+    if not (np.isfinite(search_px) and search_px > 0.0) or points < 1:
+        raise InputError(f"`search_px` and `points` are above 0, got {search_px:g} and {points}")
+    if not isinstance(reference, PlacedImage):
+        raise InputError("the reference has no georeferencing; give an orthoimage with an affine transform")
+    flat = dem.crs is None
+    if flat and reference.crs is not None:
+        raise InputError(
+            "the reference has a coordinate system, but the world of the cameras is flat (x east, y north in "
+            "metres); give a reference without one, in those axes"
+        )
+    if not flat and reference.crs is None:
+        raise InputError("the reference has no coordinate system; write that of its map into the file")
+    return reference, MapSystem(reference.crs, dem.radii)
+
+
+def _matched(view: _View, name: str, window: tuple[int, int] | None, search_px: float) -> RasterMatches:
+    """Shifts between an image and the reference laid on it, in pixels of the image."""
+    laid, mapping, reduced_by = _laid(view)
+    reach = min(search_px, float(max(view.image.shape))) / laid.reduced
+    k = laid.reduced
+    learnt = learn_shifts(laid.a, laid.b, reach=reach, inside=laid.inside)
+    affine = _affine(learnt.field.points, learnt.field.values, learnt.field.weights)
+
+    def moved(pixels: Array) -> Array:
+        return mapping(pixels + affine(pixels))
+
+    again = replace(
+        laid, b=WarpedImage(reduced_by, lattice_map(moved), laid.a.shape, _SPACING),
+        exact=lambda p: (moved(p), reduced_by.shape),
+    )  # fmt: skip
+    default = WINDOWS["pixels" if isinstance(view.camera, PushbroomCamera) else "map"]
+    found = match_laid(again, (name, "reference"), default, window, None, 0.0, silent)
+    # the shifts found, and what the reference was moved by there
+    shown = found.matches.b
+    total = shown + k * affine(reduced_pixels(shown, k))
+    matches = replace(found.matches, b=total)
+    strength = np.nan if learnt.common is None else learnt.common.strength
+    common = k * np.median(learnt.field.values, axis=0)
+    return replace(
+        found, matches=matches, common_px=common, common_strength=strength, overlay=laid, geometry="map"
+    )
+
+
+def _laid(view: _View) -> tuple[Overlay, Mapping, ImageSource]:
+    """The reference on the grid of an image; the map between them, and the reference, as far as reduced."""
+    shape = np.array(view.image.shape)
+    axes = [np.linspace(0.0, side - 1.0, min(int(side), 41)) for side in shape]
+    probes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    where = view.seen(probes)
+    with np.errstate(invalid="ignore"):
+        there = ((where >= 0.0) & (where <= np.array(view.reference.shape) - 1.0)).all(axis=1)
+    if there.mean() < _COVERED:
+        raise GeometryError(
+            f"the reference and the DEM cover {100 * there.mean():.0f} % of what the image sees by its "
+            f"camera as given, {100 * _COVERED:.0f} % are needed at least; give those of the place, or check "
+            "positions and attitudes"
+        )
+    seen = probes[there]
+    middle = seen[[int(np.argmin(((seen - seen.mean(axis=0)) ** 2).sum(axis=1)))]]
+    ratio = float(np.sqrt(abs(np.linalg.det(view.turn(middle)))))
+    if not np.isfinite(ratio) or ratio == 0.0:
+        ratio = 1.0
+    k, m = max(1, round(1.0 / ratio)), max(1, round(ratio))
+    k = max(1, min(k, int(shape.min()) // 32))
+    image: ImageSource = view.image if k == 1 else ReducedImage(view.image, k)
+    reference: ImageSource = view.reference if m == 1 else ReducedImage(view.reference, m)
+
+    def mapping(pixels: Array) -> Array:
+        return reduced_pixels(view.seen(whole_pixels(pixels, k)), m)
+
+    warped = WarpedImage(reference, lattice_map(mapping), image.shape, _SPACING)
+    overlay = Overlay(image, warped, np.zeros(2), k, "map", lambda p: (mapping(p), reference.shape))
+    return overlay, mapping, reference
+
+
+def _affine(points: Array, values: Array, weights: Array) -> Callable[[Array], Array]:
+    """The affine displacement nearest to a field's values, as a function of pixels."""
+    middle, scale = points.mean(axis=0), max(float(np.ptp(points, axis=0).max()), 1.0)
+    used = weights > 0.0
+    basis = np.concatenate([np.ones((len(points), 1)), (points - middle) / scale], axis=1)
+    if used.sum() < 6:
+        basis = basis[:, :1]
+    root = np.sqrt(weights)[:, None]
+    solution = np.linalg.lstsq(basis * root, values * root, rcond=1e-6)[0]
+
+    def at(pixels: Array) -> Array:
+        out = np.broadcast_to(solution[0], pixels.shape)
+        return out if len(solution) == 1 else out + ((pixels - middle) / scale) @ solution[1:]
+
+    return at
+
+
+def _chosen(matches: RasterMatches, count: int) -> NDArray[np.intp]:
+    """Rows of the best known windows, evenly spread over the image."""
+    sigma = np.sqrt((matches.sigma_px**2).sum(axis=1))
+    across = max(1, min(8, int(np.sqrt(count))))
+    return spread_subset(matches.matches.a, 1.0 / sigma, count, (max(1, count // (2 * across)), across))
+
+
+def _points_of(
+    view: _View, matches: RasterMatches, rows: NDArray[np.intp], reference_sigma: float, dem_sigma: float
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Pixels, ground, sigma (m) without the match, sigma of the match (px), offset (px), m per px."""
+    pixels, shown = matches.matches.a[rows], matches.matches.b[rows]
+    ground = view.ground(shown)
+    steps = [view.ground(shown + s) - view.ground(shown - s) for s in np.eye(2)]
+    area = np.linalg.norm(np.cross(steps[0], steps[1]), axis=1) / 4.0
+    known = np.isfinite(ground).all(axis=1) & np.isfinite(area) & (area > 0.0)
+    pixels, shown, ground = pixels[known], shown[known], ground[known]
+    tilt = _tilt(view, shown, ground)
+    if not isinstance(view.camera, PushbroomCamera):
+        # heights of points are heights of the pose
+        tilt = np.maximum(tilt, 1.0)
+    base = np.hypot(reference_sigma, dem_sigma * tilt)
+    return pixels, ground, base, matches.sigma_px[rows][known], pixels - shown, np.sqrt(area[known])
+
+
+def _tilt(view: _View, pixels: Array, ground: Array) -> Array:
+    """Tangent (N,) of the angle between the line of sight and the vertical."""
+    directions = view.camera.rays(pixels).directions
+    up = np.tile([0.0, 0.0, 1.0], (len(ground), 1))
+    if view.system.crs is not None:
+        geodetic = to_geodetic(ground, view.system.radii)
+        up = np.stack([local_axes(lon, lat).as_matrix()[:, 2] for lon, lat, _ in geodetic])
+    down = np.abs(np.einsum("ni,ni->n", directions, up))
+    return np.asarray(np.sqrt(np.maximum(1.0 - down**2, 0.0)) / np.maximum(down, 1e-3))
+
+
+def _warnings(found: dict[int, RasterMatches], names: Sequence[str]) -> list[str]:
+    """What windows of each image said."""
+    out: list[Any] = []
+    for number, matches in found.items():
+        out += [f"{names[number]}: {text}" for text in matches.warnings]
+    return out

@@ -1,0 +1,278 @@
+"""What `tie` ties: images with cameras of an ACQUISITION or a SEQUENCE.toml; the file with control points.
+
+Not here: the control points (``applications/reference_tie.py``).
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.access import check_file, located, remote_name
+from sightline.errors import FormatError, InputError
+from sightline.geometry.camera import Camera
+from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
+from sightline.geometry.surface import Dem, level_surface
+from sightline.imaging.source import ImageSource
+from sightline.io.acquisition.load import load_acquisition, read_acquisition
+from sightline.io.acquisition.schema import WorldSection
+from sightline.io.config import schema_of
+from sightline.io.formats.dem import Bounds, read_dem
+from sightline.io.init.bands import path_from
+from sightline.io.names import toml_string, toml_value
+from sightline.io.sequence.load import read_sequence
+from sightline.photogrammetry.frame_cameras import frame_cameras
+
+Array = NDArray[np.float64]
+
+#: Degrees around what cameras see that is read of a large DEM.
+_AROUND = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class TiedImages:
+    """Images that are to be tied to a reference.
+
+    Attributes
+    ----------
+    path : Path
+    kind : str
+        "acquisition" or "sequence".
+    name : str
+    names : tuple of str
+    images, cameras : tuple
+    local : bool
+        The world is flat: x east, y north, z up.
+    radii : (equatorial, polar)
+        m.
+    to_table : callable
+        World points (N, 3) in the axes of ``[world]``.
+    inputs : tuple of Path
+        Files that were read.
+    """
+
+    path: Path
+    kind: str
+    name: str
+    names: tuple[str, ...]
+    images: tuple[ImageSource, ...]
+    cameras: tuple[Camera, ...]
+    local: bool
+    radii: tuple[float, float]
+    to_table: Callable[[Array], Array]
+    inputs: tuple[Path, ...]
+
+
+def load_tied(path: Path) -> TiedImages:
+    """Images and cameras of an ACQUISITION.toml or a SEQUENCE.toml.
+
+    Raises
+    ------
+    FormatError
+        Names file, key, value, what is allowed.
+    InputError
+        If it is another kind of file.
+    """
+    kind = schema_of(path)
+    if kind == "acquisition":
+        acquired = load_acquisition(path)
+        config = read_acquisition(path)
+        radii = getattr(acquired.surface, "radii", None)
+        if radii is None:
+            radii = (getattr(acquired.surface, "a", WGS84[0]), getattr(acquired.surface, "b", WGS84[1]))
+        local = acquired.world == "local"
+        return TiedImages(
+            path, kind, acquired.name, acquired.names, acquired.images, acquired.cameras, local, radii,
+            _to_table(config.world, radii, local), acquired.inputs,
+        )  # fmt: skip
+    if kind == "sequence":
+        sequence = read_sequence(path)
+        problem = sequence.problem
+        usable = [k for k, reason in enumerate(problem.excluded) if not reason]
+        cameras = frame_cameras(problem.images, [problem.detector], [problem.mount])
+        local, radii = problem.radii is None, problem.radii or WGS84
+        return TiedImages(
+            path, kind, sequence.name, tuple(problem.frames[k] for k in usable),
+            tuple(problem.sources[k] for k in usable), tuple(cameras[k] for k in usable), local, radii,
+            _to_table(sequence.world, radii, local), sequence.inputs,
+        )  # fmt: skip
+    raise InputError(
+        f"{path}: is a {kind} file; `tie` takes an ACQUISITION.toml ([[band]] or [[frame]]) or a "
+        "SEQUENCE.toml"
+    )
+
+
+def _to_table(world: WorldSection, radii: tuple[float, float], local: bool) -> Callable[[Array], Array]:
+    """The inverse of ``points_to_world``."""
+
+    def convert(points: Array) -> Array:
+        if world.frame == "lonlat" and not local:
+            geodetic = to_geodetic(points, radii)
+            return np.column_stack([np.degrees(geodetic[:, :2]), geodetic[:, 2]])
+        if world.frame == "local" and world.origin is not None:
+            lon, lat = np.radians(world.origin[:2])
+            start = from_geodetic(np.array([[lon, lat, world.origin[2]]]), radii)
+            return np.asarray(local_axes(lon, lat).inv().apply(points - start))
+        return points
+
+    return convert
+
+
+def chosen_images(tied: TiedImages, asked: Sequence[str], most: int) -> list[int]:
+    """Numbers of the images to tie: those asked for, else the first band, or frames evenly spread.
+
+    Raises
+    ------
+    InputError
+        If a name is of no image.
+    """
+    unknown = [name for name in asked if name not in tied.names]
+    if unknown:
+        shown = ", ".join(tied.names[:10]) + (", ..." if len(tied.names) > 10 else "")
+        raise InputError(f"--image {unknown[0]}: no image has this name; there are: {shown}")
+    if asked:
+        return [tied.names.index(name) for name in dict.fromkeys(asked)]
+    from sightline.geometry.camera import FrameCamera
+
+    if not isinstance(tied.cameras[0], FrameCamera):
+        return [0]
+    count = len(tied.names)
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)).tolist()
+
+
+def read_ground(path: Path, tied: TiedImages, geoid: str | None) -> Dem:
+    """The DEM under the images; `geoid` a raster or a number (m) where its heights count from the geoid."""
+    level: float | Path | None = None
+    if geoid is not None:
+        try:
+            level = float(geoid)
+        except ValueError:
+            level = Path(geoid)
+            check_file(level, "give a raster of geoid heights, or a number in metres")
+    bounds = None if tied.local else _bounds(tied)
+    radii = None if tied.radii == WGS84 else tied.radii
+    datum = None if level is None else "geoid"
+    return read_dem(path, datum=datum, geoid=level, local=tied.local, radii=radii, bounds=bounds)
+
+
+def _bounds(tied: TiedImages) -> Bounds | None:
+    """Longitudes and latitudes (degrees) of what cameras see, and some around it."""
+    level = level_surface(tied.radii)
+    seen = []
+    for image, camera in ((tied.images[k], tied.cameras[k]) for k in (0, len(tied.images) // 2, -1)):
+        axes = [np.linspace(0.0, side - 1.0, 3) for side in image.shape]
+        probes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        seen.append(camera.locate(probes, level))
+    points = np.concatenate(seen)
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return None
+    lonlat = np.degrees(to_geodetic(points, tied.radii)[:, :2])
+    (west, south), (east, north) = lonlat.min(axis=0) - _AROUND, lonlat.max(axis=0) + _AROUND
+    return Bounds(west, south, east, north)
+
+
+# ---------------------------------------------------------------------------- the file with control points
+
+
+def with_control_points(tied: TiedImages, folder: Path, sigma_px: float) -> str:
+    """The TOML file with ``control_points.csv`` beside it, and every other file where it lies.
+
+    Parameters
+    ----------
+    tied : TiedImages
+    folder : Path
+        Where it will lie.
+    sigma_px : float
+        px; of the pixels of control points.
+
+    Returns
+    -------
+    str
+        Comments and all else are kept; what control points were there is a comment now.
+    """
+    text = tied.path.read_text(encoding="utf-8")
+    moved = {
+        (where[-1], word): path_from(located(tied.path.parent, word), folder)
+        for where, word in _words(tomllib.loads(text), ())
+        if _is_file(tied.path.parent, where, word)
+    }
+    lines = [_moved(line, moved) for line in text.splitlines()]
+    given = [
+        "# by `sightline tie`: control points of a reference, and where this file lay before",
+        'control_points = "control_points.csv"',
+        f"control_sigma_px = {sigma_px:.4g}",
+    ]
+    old = re.compile(r"^\s*(control_points|control_sigma_px|gcp_list|gcp_sigma)\s*=")
+    lines = [f"# {line}" if old.match(line) else line for line in lines]
+    if tied.kind == "sequence":
+        lines = [*given, *lines]
+    else:
+        at = next((n for n, line in enumerate(lines) if re.match(r"^\s*\[acquisition\]", line)), None)
+        lines = (
+            ["[acquisition]", *given, "", *lines]
+            if at is None
+            else [*lines[: at + 1], *given, *lines[at + 1 :]]
+        )
+    return "\n".join(_allowed(lines, path_from(tied.path.parent, folder))) + "\n"
+
+
+def _words(value: Any, where: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Keys and texts of all words in tables and lists."""
+    if isinstance(value, str):
+        yield where, value
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _words(inner, (*where, str(key)))
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _words(inner, where)
+
+
+def _is_file(folder: Path, where: tuple[str, ...], word: str) -> bool:
+    """Whether a word is the name of a file or a folder that is there."""
+    if not where or where[-1] in ("name", "kind", "epoch", "frame") or remote_name(Path(word)) is not None:
+        return False
+    if "\n" in word or len(word) > 4096:
+        return False
+    return located(folder, word).exists()
+
+
+def _moved(line: str, moved: Mapping[tuple[str, str], str]) -> str:
+    """A line of the file with names of files as they are seen from elsewhere."""
+    found = re.match(r"""^(\s*(?:"?)([\w-]+)(?:"?)\s*=\s*)(.*)$""", line)
+    if found is None:
+        return line
+    head, key, rest = found.groups()
+    for (name, word), path in moved.items():
+        if name == key:
+            for written in (toml_string(word), f"'{word}'"):
+                rest = rest.replace(written, toml_string(path))
+    return head + rest
+
+
+def _allowed(lines: list[str], folder: str) -> list[str]:
+    """The file with the folder where it lay among those that its files may refer to."""
+    at = next((n for n, line in enumerate(lines) if re.match(r"^\s*\[files\]", line)), None)
+    if at is None:
+        return [*lines, "", "[files]", f"allow = {toml_value([folder])}"]
+    for n in range(at + 1, len(lines)):
+        if re.match(r"^\s*allow\s*=\s*\[", lines[n]):
+            more = re.sub(r"\[", f"[{toml_string(folder)}, ", lines[n], count=1)
+            return [*lines[:n], more, *lines[n + 1 :]]
+    return [*lines[: at + 1], f"allow = {toml_value([folder])}", *lines[at + 1 :]]
+
+
+def check_copy(path: Path) -> None:
+    """FormatError where a file that was written is none of its kind any more."""
+    try:
+        tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise FormatError(f"{path}: control points cannot be added ({error}); add them by hand") from error
