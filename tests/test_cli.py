@@ -433,7 +433,7 @@ def test_what_a_command_lets_be_opened_ends_with_it(tmp_path, monkeypatch):
 
 READING = (
     "check", "export", "georeference", "init", "layout", "match", "noise", "orient", "recover", "register",
-    "score", "tdi",
+    "score", "tdi", "tie",
 )  # fmt: skip
 
 

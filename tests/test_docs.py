@@ -261,8 +261,9 @@ SUMMARIES = {
     "SequencePoses": ("## Written by `georeference`", "## Written by `noise`"),
     "CubeSummary": ("Entry `cube` of `summary.json`", "## STEREO.toml"),
     "DetectorNoise": ("## Written by `noise`", "## Written by `match`"),
-    "RasterMatches": ("## Written by `match`", "## Written by `tdi`"),
-    "BandMatches": ("## Written by `match`", "## Written by `tdi`"),
+    "RasterMatches": ("## Written by `match`", "## Written by `tie`"),
+    "BandMatches": ("## Written by `match`", "## Written by `tie`"),
+    "ReferenceTie": ("## Written by `tie`", "## Written by `tdi`"),
     "TdiResult": ("## Written by `tdi`", "## Tags of TDI lines"),
     "Score": ("## Printed by `score`", "### Of poses"),
 }

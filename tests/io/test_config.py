@@ -75,9 +75,11 @@ def test_the_error_of_a_platform_without_a_kind_asks_for_one(folder):
     assert "key 'platform.kind' is missing; allowed: camera-model, ephemeris, level-flight, spin" in said
 
 
-def test_one_band_alone_is_refused(folder):
+def test_one_band_alone_is_described_but_holds_no_motion(folder):
     folder.text = folder.text[: folder.text.rindex("[[band]]")]
-    assert "1 [[band]] given; motion is seen between two or more images" in message(folder)
+    assert "motion is seen between two or more bands" in load_acquisition(folder.write()).still
+    folder.text = folder.text[: folder.text.rindex("[[band]]")]
+    assert "0 [[band]] given; motion is seen between two or more images" in message(folder)
 
 
 def test_two_bands_of_one_name_are_refused(folder):

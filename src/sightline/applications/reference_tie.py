@@ -39,8 +39,9 @@ Mapping = Callable[[Array], Array]
 
 #: px; how far the cameras may be off.
 SEARCH = 200.0
-#: Control points in all, at most, and images of a flight that are tried.
-POINTS, IMAGES = 400, 40
+#: Control points of a band and of a frame, at most: more would tie single lines, of which a window only shows
+#: the mean, and nothing is gained for what is slow. Frames of a flight that are tried.
+BAND_POINTS, FRAME_POINTS, IMAGES = 100, 30, 40
 #: Columns between places where the map to the reference is handed to the resampler.
 _SPACING = 8
 #: px beyond an image where its camera still has rays.
@@ -139,7 +140,7 @@ def tie_to_reference(
     names: Sequence[str] | None = None,
     search_px: float = SEARCH,
     window: tuple[int, int] | None = None,
-    points: int = POINTS,
+    points: int | None = None,
     reference_sigma: float = 0.0,
     dem_sigma: float = 0.0,
     to_table: Mapping | None = None,
@@ -162,8 +163,8 @@ def tie_to_reference(
         px of the images; furthest that cameras may be off.
     window : (int, int), optional
         px of windows; (10, 100) of push-brooms, (32, 32) of frames.
-    points : int
-        Control points in all, at most: the best known, evenly spread.
+    points : int, optional
+        Control points of an image, at most: the best known, evenly spread. 100 of a band, 30 of a frame.
     reference_sigma : float
         m, per coordinate; of the reference's places, each for itself.
     dem_sigma : float
@@ -211,8 +212,10 @@ def tie_to_reference(
     if not found:
         kind, reason = next(iter(left.values()))
         raise kind(f"{labels[next(iter(left))]}: {reason}")
-    each = -(-points // len(found))
-    rows = {number: _chosen(matches, each) for number, matches in found.items()}
+    rows = {
+        k: _chosen(matches, points or (BAND_POINTS if _is_band(cameras[k]) else FRAME_POINTS))
+        for k, matches in found.items()
+    }
     parts = [_points_of(views[k], found[k], rows[k], reference_sigma, dem_sigma) for k in sorted(found)]
     of_image = np.concatenate([np.full(len(rows[k]), k, dtype=np.intp) for k in sorted(found)])
     pixels, ground, base, sigma_px, offset, gsd = (
@@ -238,12 +241,12 @@ def _checked(
     dem: Dem,
     names: Sequence[str],
     search_px: float,
-    points: int,
+    points: int | None,
 ) -> tuple[PlacedImage, MapSystem]:
     """The reference with its map, or what does not fit."""
     if not len(images) == len(cameras) == len(names) > 0:
         raise InputError(f"as many cameras as images, one or more, got {len(cameras)} and {len(images)}")
-    if not (np.isfinite(search_px) and search_px > 0.0) or points < 1:
+    if not (np.isfinite(search_px) and search_px > 0.0) or (points is not None and points < 1):
         raise InputError(f"`search_px` and `points` are above 0, got {search_px:g} and {points}")
     if not isinstance(reference, PlacedImage):
         raise InputError("the reference has no georeferencing; give an orthoimage with an affine transform")
@@ -256,6 +259,11 @@ def _checked(
     if not flat and reference.crs is None:
         raise InputError("the reference has no coordinate system; write that of its map into the file")
     return reference, MapSystem(reference.crs, dem.radii)
+
+
+def _is_band(camera: Camera) -> bool:
+    """Whether lines are exposed one after the other."""
+    return isinstance(camera, PushbroomCamera)
 
 
 def _matched(view: _View, name: str, window: tuple[int, int] | None, search_px: float) -> RasterMatches:
@@ -273,7 +281,7 @@ def _matched(view: _View, name: str, window: tuple[int, int] | None, search_px: 
         laid, b=WarpedImage(reduced_by, lattice_map(moved), laid.a.shape, _SPACING),
         exact=lambda p: (moved(p), reduced_by.shape),
     )  # fmt: skip
-    default = WINDOWS["pixels" if isinstance(view.camera, PushbroomCamera) else "map"]
+    default = WINDOWS["pixels" if _is_band(view.camera) else "map"]
     found = match_laid(again, (name, "reference"), default, window, None, 0.0, silent)
     # the shifts found, and what the reference was moved by there
     shown = found.matches.b
@@ -353,7 +361,7 @@ def _points_of(
     known = np.isfinite(ground).all(axis=1) & np.isfinite(area) & (area > 0.0)
     pixels, shown, ground = pixels[known], shown[known], ground[known]
     tilt = _tilt(view, shown, ground)
-    if not isinstance(view.camera, PushbroomCamera):
+    if not _is_band(view.camera):
         # heights of points are heights of the pose
         tilt = np.maximum(tilt, 1.0)
     base = np.hypot(reference_sigma, dem_sigma * tilt)

@@ -69,7 +69,13 @@ def tie(
         ),
     ] = None,
     points: Annotated[
-        int | None, typer.Option("--points", metavar="N", min=1, help="Control points in all, at most (400).")
+        int | None,
+        typer.Option(
+            "--points",
+            metavar="N",
+            min=1,
+            help="Control points of an image, at most (100 of a band, 30 of a frame).",
+        ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -78,12 +84,12 @@ def tie(
     """Find control points, with sigma, between images and a reference orthoimage."""
     import time
 
-    from sightline.applications.reference_tie import IMAGES, POINTS, SEARCH, tie_to_reference
+    from sightline.applications.reference_tie import IMAGES, SEARCH, tie_to_reference
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.errors import naming
     from sightline.io.formats.images import load_raster
-    from sightline.io.tied import check_copy, chosen_images, load_tied, read_ground, with_control_points
+    from sightline.io.tied import chosen_images, files_with_control_points, load_tied, read_ground
     from sightline.kinds.tie import Ties
 
     begun = time.perf_counter()
@@ -97,15 +103,14 @@ def tie(
             found = tie_to_reference(
                 [tied.images[k] for k in chosen], [tied.cameras[k] for k in chosen], ortho, ground,
                 names=[tied.names[k] for k in chosen], search_px=SEARCH if search is None else search,
-                window=window, points=POINTS if points is None else points, to_table=tied.to_table,
+                window=window, points=points, to_table=tied.to_table,
                 reference_sigma=reference_sigma, dem_sigma=dem_sigma, progress=report,
             )  # fmt: skip
-        toml = (f"{tied.kind}.toml", with_control_points(tied, out, found.control_sigma_px))
+        more = files_with_control_points(tied, out, found.control_sigma_px)
         used = [*tied.inputs, *(path for path in (reference, dem, mask) if path is not None)]
         summary = Ties().render(
-            found, folder, report, begun, name=tied.name, toml=toml, inputs=list(dict.fromkeys(used))
+            found, folder, report, begun, name=tied.name, more=more, inputs=list(dict.fromkeys(used))
         )
-        check_copy(folder / toml[0])
     if as_json:
         print_json(summary)
         return
@@ -119,4 +124,4 @@ def tie(
             f"{one['sigma_px'][1]:.3f} px"
         )
     command = {"acquisition": "recover", "sequence": "georeference"}[tied.kind]
-    say(f"next: sightline {command} {out / toml[0]} --out DIR")
+    say(f"next: sightline {command} {out / next(iter(more))} --out DIR")

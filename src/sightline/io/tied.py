@@ -5,6 +5,7 @@ Not here: the control points (``applications/reference_tie.py``).
 
 from __future__ import annotations
 
+import csv
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from sightline.io.acquisition.load import load_acquisition, read_acquisition
 from sightline.io.acquisition.schema import WorldSection
 from sightline.io.config import schema_of
 from sightline.io.formats.dem import Bounds, read_dem
+from sightline.io.formats.tables import csv_cell
 from sightline.io.init.bands import path_from
 from sightline.io.names import toml_string, toml_value
 from sightline.io.sequence.load import read_sequence
@@ -182,6 +184,58 @@ def _bounds(tied: TiedImages) -> Bounds | None:
 # ---------------------------------------------------------------------------- the file with control points
 
 
+#: Of frames in a table: a copy whose images are found from where it lies.
+FRAMES = "frames.csv"
+
+
+def files_with_control_points(tied: TiedImages, folder: Path, sigma_px: float) -> dict[str, str]:
+    """The TOML file with its control points, and the table of its frames where it has one, by their names.
+
+    Parameters
+    ----------
+    tied : TiedImages
+    folder : Path
+        Where they will lie.
+    sigma_px : float
+        px; of the pixels of control points.
+
+    Raises
+    ------
+    FormatError
+        If control points cannot be added to the file.
+    """
+    text, more = with_control_points(tied, folder, sigma_px), {}
+    if tied.kind == "sequence":
+        named = tomllib.loads(tied.path.read_text(encoding="utf-8")).get("frames", "")
+        table = located(tied.path.parent, str(named))
+        if named and table.is_file():
+            more[FRAMES] = _moved_table(table, tied.path.parent, folder)
+            text = text.replace(toml_string(path_from(table, folder)), toml_string(FRAMES))
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FormatError(
+            f"{tied.path}: control points cannot be added to a copy ({error}); add "
+            "control_points and control_sigma_px by hand"
+        ) from error
+    return {f"{tied.kind}.toml": text, **more}
+
+
+def _moved_table(table: Path, base: Path, folder: Path) -> str:
+    """A table of frames with its images, which are found from `base`, as they are seen from a folder."""
+    rows = list(csv.reader(line for line in table.read_text(encoding="utf-8").splitlines() if line.strip()))
+    heads = next((row for row in rows if not row[0].startswith("#")), [])
+    if "image" not in heads:
+        return table.read_text(encoding="utf-8")
+    at, out = heads.index("image"), []
+    for row in rows:
+        moved = list(row)
+        if row is not heads and len(row) > at and not row[0].startswith("#"):
+            moved[at] = path_from(located(base, row[at]), folder)
+        out.append(",".join(map(csv_cell, moved)))
+    return "\n".join(out) + "\n"
+
+
 def with_control_points(tied: TiedImages, folder: Path, sigma_px: float) -> str:
     """The TOML file with ``control_points.csv`` beside it, and every other file where it lies.
 
@@ -268,11 +322,3 @@ def _allowed(lines: list[str], folder: str) -> list[str]:
             more = re.sub(r"\[", f"[{toml_string(folder)}, ", lines[n], count=1)
             return [*lines[:n], more, *lines[n + 1 :]]
     return [*lines[: at + 1], f"allow = {toml_value([folder])}", *lines[at + 1 :]]
-
-
-def check_copy(path: Path) -> None:
-    """FormatError where a file that was written is none of its kind any more."""
-    try:
-        tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise FormatError(f"{path}: control points cannot be added ({error}); add them by hand") from error

@@ -71,14 +71,14 @@ class Ties(ResultKind):
         begun: float,
         *,
         name: str = "tie",
-        toml: tuple[str, str] | None = None,
+        more: Mapping[str, str] | None = None,
         inputs: Sequence[Path] = (),
     ) -> dict[str, Any]:
-        """Every file; `toml`: name and text of the file that names the control points."""
+        """Every file; `more`: texts of others by their names, such as the TOML that names the points."""
         tell("writing the control points and their report")
         write_tables(folder, result)
-        if toml is not None:
-            whole_text(folder / toml[0], toml[1])
+        for file, text in (more or {}).items():
+            whole_text(folder / file, text)
         reference = getattr(given(result)["reference"], "path", None)
         summary = summarize_tie(
             result, name, "reference" if reference is None else Path(reference).name, inputs,

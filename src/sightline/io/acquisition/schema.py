@@ -796,8 +796,8 @@ class AcquisitionFile(InputFile):
                 "[[frame]]"
             )
         count, table = (len(self.frame), "frame") if self.frame else (len(self.band), "band")
-        # one product may be one band: its geometry is described, `recover` refuses it
-        if count < (1 if table == "band" and isinstance(self.platform, CameraModelPlatform) else 2):
+        # one band has a geometry, and can be tied to a reference; `recover` refuses it
+        if count < (1 if table == "band" else 2):
             raise ValueError(
                 f"{count} [[{table}]] given; motion is seen between two or more images of the same ground: "
                 f"add a [[{table}]]"

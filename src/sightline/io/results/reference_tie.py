@@ -21,7 +21,8 @@ from sightline.version import VERSION
 
 #: Every file that `tie` may leave.
 TIE_FILES = (
-    "control_points.csv", "ties.csv", "acquisition.toml", "sequence.toml", "summary.json", "report.html",
+    "control_points.csv", "ties.csv", "acquisition.toml", "sequence.toml", "frames.csv", "summary.json",
+    "report.html",
 )  # fmt: skip
 
 
