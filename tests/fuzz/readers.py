@@ -235,6 +235,16 @@ _row(
     lambda folder, read: read(sorted((folder / "photos").iterdir()), EPOCH, 0.0),
 )  # fmt: skip
 function("formats.xmp.read_xmp", "photographs", "photos/p1.jpg")
+function("tied.load_tied", "orbit-csv", "acquisition.toml positions.csv attitudes.csv PAN.tif")
+
+
+def _ground_of(folder: Path, read: Any) -> None:
+    from sightline.io.tied import load_tied
+
+    read(folder / "dem.tif", load_tied(folder / "acquisition.toml"), "0.0")
+
+
+_row("tied.read_ground", "orbit-csv", ["dem.tif"], _ground_of)
 _row(
     "formats.images.load_raster", "orbit-csv", ["dem.tif"],
     lambda folder, read: read(folder / "dem.tif").read((0, 1), (0, 1)),

@@ -90,7 +90,7 @@ def tie(
     from sightline.errors import naming
     from sightline.io.formats.images import load_raster
     from sightline.io.tied import chosen_images, files_with_control_points, load_tied, read_ground
-    from sightline.kinds.tie import Ties
+    from sightline.kinds.tie import ReferenceTies
 
     begun = time.perf_counter()
     with output_folder(out, overwrite=overwrite) as folder, progress() as report:
@@ -108,7 +108,7 @@ def tie(
             )  # fmt: skip
         more = files_with_control_points(tied, out, found.control_sigma_px)
         used = [*tied.inputs, *(path for path in (reference, dem, mask) if path is not None)]
-        summary = Ties().render(
+        summary = ReferenceTies().render(
             found, folder, report, begun, name=tied.name, more=more, inputs=list(dict.fromkeys(used))
         )
     if as_json:

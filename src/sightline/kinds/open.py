@@ -20,13 +20,13 @@ from sightline.kinds.registration import Picture, Registered
 from sightline.kinds.scoring import Scoring
 from sightline.kinds.sequence import Cube, Poses
 from sightline.kinds.tdi import Choice
-from sightline.kinds.tie import Ties
+from sightline.kinds.tie import ReferenceTies
 from sightline.result import Result
 
 #: Every kind.
 KINDS: tuple[ResultKind, ...] = (
     Recovery(), Registered(), Picture(), Layouts(), Orientation(), Prediction(), Choice(), Poses(), Cube(),
-    Noise(), Shifts(), BandShifts(), Ties(), Scoring(),
+    Noise(), Shifts(), BandShifts(), ReferenceTies(), Scoring(),
 )  # fmt: skip
 _OF_TYPE: dict[type[Result], ResultKind] = {one: kind for kind in KINDS for one in kind.types}
 _OF_NAME: dict[str, type[Result]] = {one.__name__: one for one in _OF_TYPE}

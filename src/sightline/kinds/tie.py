@@ -18,7 +18,7 @@ from sightline.report.tie_page import tie_page
 from sightline.writing import whole_text
 
 
-class Ties(ResultKind):
+class ReferenceTies(ResultKind):
     """`ReferenceTie`."""
 
     types = (ReferenceTie,)
