@@ -7,9 +7,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from tests.io.conftest import write_tif
 
-from sightline.errors import FormatError
+from sightline.errors import EstimationError, FormatError
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats import junocam
 
@@ -164,3 +165,71 @@ def test_a_real_image_becomes_an_acquisition(real_data, tmp_path):
     assert acquisition.spin is not None and acquisition.spin.rate < 0.0
     middle = acquisition.frames[3 * 6 + 2]
     assert not middle.image.mask((0, 128), (0, 1648)).all()
+
+
+def rendered(latitude, gain, *, exposures=11, turned=0.0, beside=50.0):
+    """Framelets (exposures, strips, lines, columns) of an even Jupiter, with what was put in.
+
+    Rays by the published numbers, cut with the ellipsoid in closed form, brightness by Lambert's law, levels
+    by the square-root table. The Sun stands so many degrees beside the camera, towards smaller columns.
+    """
+    equatorial, polar = junocam.RADII
+    axes = np.array([equatorial, equatorial, polar])
+    place = 1.9e8 * np.array([np.cos(latitude), 0.0, np.sin(latitude)])
+    down = -place / np.linalg.norm(place)
+    side = Rotation.from_rotvec(turned * down).apply(np.cross(down, [0.0, 1.0, 0.0]))
+    side -= (side @ down) * down
+    side /= np.linalg.norm(side)
+    sun = np.cos(np.radians(beside)) * -down + np.sin(np.radians(beside)) * side
+    middle = Rotation.from_matrix(np.stack([-side, np.cross(down, -side), down], axis=1))
+    middle = middle * Rotation.from_euler("y", 0.06)
+    start = middle * Rotation.from_rotvec([-junocam.TURN * (exposures // 2), 0.0, 0.0])
+    table = junocam.companding_table()
+    framelets = np.zeros((exposures, 3, 128, 800), np.uint8)
+    line, column = np.meshgrid(np.arange(128.0), np.arange(800.0), indexing="ij")
+    noise = np.random.default_rng(3)
+    for strip, (_, axis) in enumerate(junocam.STRIPS):
+        seen = np.stack([column - junocam.COLUMN, line - (axis + junocam.COMMON_LINE)]) / junocam.FOCAL
+        flat = seen.copy()
+        for _ in range(30):
+            square = (flat**2).sum(axis=0)
+            flat = seen / (1.0 + junocam.DISTORTION[0] * square + junocam.DISTORTION[1] * square**2)
+        look = np.stack([*flat, np.ones_like(line)], axis=-1)
+        for k in range(exposures):
+            ray = (start * Rotation.from_rotvec([junocam.TURN * k, 0.0, 0.0])).apply(look.reshape(-1, 3))
+            u, o = ray / axes, place / axes
+            a, b, c = (u**2).sum(axis=1), u @ o, o @ o - 1.0
+            inside = b**2 - a * c
+            hit = place + ((-b - np.sqrt(np.maximum(inside, 0.0))) / a)[:, None] * ray
+            normal = hit / axes**2
+            lit = (normal @ sun) / np.linalg.norm(normal, axis=1)
+            linear = np.where(inside > 0.0, gain * 2000.0 * np.maximum(lit, 0.0), 0.0)
+            level = np.searchsorted(table, linear).astype(float) + noise.normal(0.0, 0.7, linear.shape)
+            framelets[k, strip] = np.clip(np.round(level), 0, 255).reshape(line.shape)
+    return framelets, start, np.tile(place, (exposures, 1)), sun
+
+
+@pytest.mark.parametrize("latitude", [0.73, 1.5])
+def test_a_limb_gives_the_attitude_as_well_as_it_says(latitude):
+    framelets, truth, place, sun = rendered(latitude, 1.0)
+    fit = junocam.limb_attitude(framelets, 0.374, place, sun)
+    error = (fit.world_from_body * truth.inv()).as_rotvec()
+    down = -place[0] / np.linalg.norm(place[0])
+    across = np.linalg.norm(error - (error @ down) * down)
+    # the limb is cut at a level that Lambert's law reaches a little inside of it
+    assert across < 3.0 * max(junocam.ATTITUDE_SIGMA, fit.sigma)
+    assert abs(error @ down) < 3.0 * fit.sigma_turn
+    # above the pole the outline is a circle, which tells nothing of the turn
+    assert (fit.sigma_turn > 0.3) if latitude > 1.4 else (fit.sigma_turn < 0.1)
+
+
+@pytest.mark.parametrize(("gain", "said"), [(20.0, "terminator"), (400.0, "beside what is overexposed")])
+def test_an_overexposed_image_is_refused_for_its_terminator(gain, said):
+    """A crescent whose limb is overexposed: what is left of steep edges is where its night begins."""
+    framelets, _, place, sun = rendered(0.73, gain, beside=110.0)
+    assert (framelets == 255).mean() > 0.1
+    with pytest.raises(EstimationError, match=said):
+        junocam.limb_attitude(framelets, 0.374, place, sun)
+    # what is overexposed, and around it, is not matched
+    hits, median = junocam.radiation_hits(framelets[5, 2], 18.0)
+    assert junocam.unusable(hits, median, 18.0)[framelets[5, 2] >= 254].all()

@@ -68,3 +68,64 @@ def test_too_few_points_are_an_error():
     with pytest.raises(EstimationError, match="10 limb points; 50 or more are needed"):
         axis = np.array([0.0, 0.0, 1.0])
         attitude_from_limb(outline(POSITION, 10), np.tile(POSITION, (10, 1)), RADII, (axis, axis))
+
+
+def test_stated_sigmas_are_those_of_many_fits_and_a_pole_tells_no_turn():
+    """Errors that neighbours share: eleven values of noise, even between, along half an outline."""
+    rng = np.random.default_rng(5)
+    truth = Rotation.from_rotvec([0.4, -0.8, 0.3])
+    for place, least, most in ((POSITION, 0.0, 0.05), (np.array([3e6, 0.0, 1.6e8]), 0.1, 2.0)):
+        rays = outline(place, 720)[:360]
+        down = -place / np.linalg.norm(place)
+        errors, sigmas = [], []
+        for _ in range(12):
+            knots = 1e-4 * rng.normal(size=11)
+            shared = np.interp(np.linspace(0, 10, 360), np.arange(11), knots)[:, None]
+            seen = (
+                rays
+                + shared * (rays - (rays @ down)[:, None] * down) / 0.4
+                + 2e-5 * rng.normal(size=(360, 3))
+            )
+            seen = truth.inv().apply(seen / np.linalg.norm(seen, axis=1, keepdims=True))
+            hint = np.array([0.0, 0.0, 1.0]), truth.apply([0.0, 0.0, 1.0])
+            fit = attitude_from_limb(seen, np.tile(place, (360, 1)), RADII, hint)
+            error = (fit.world_from_body * truth.inv()).as_rotvec()
+            errors.append([*(error - (error @ down) * down), error @ down])
+            sigmas.append([fit.sigma, fit.sigma_turn])
+        across, about = np.square(errors)[:, :3].sum(axis=1) / 2.0, np.square(errors)[:, 3]
+        assert least < np.median(sigmas, axis=0)[1] < most
+        # 12 fits: chi-square of 24 and of 12, and sigmas of 12 sectors that are known to a third. Above the
+        # pole what the turn is not known by, half a radian and more, leans on the place of the centre too
+        assert (0.2 if most < 1.0 else 0.0) < np.mean(across / np.square(sigmas)[:, 0]) < 3.0
+        if most < 1.0:
+            assert 0.15 < np.mean(about / np.square(sigmas)[:, 1]) < 3.0
+        else:
+            assert np.median(np.sqrt(about) / np.array(sigmas)[:, 1]) < 2.0
+
+
+def test_a_terminator_is_no_limb():
+    """Points where the day ends, seen from the side: an ellipse that another attitude lays on an outline."""
+    truth = Rotation.from_rotvec([0.2, 0.3, -0.5])
+    rays = outline(POSITION, 720)
+    down = -POSITION / np.linalg.norm(POSITION)
+    sun = np.cross(down, [0.0, 0.0, 1.0])
+    sun = sun / np.linalg.norm(sun) - 0.3 * down
+    sun /= np.linalg.norm(sun)
+    dark = rays @ (sun - (sun @ down) * down) < 0.0
+    hint = np.array([1.0, 0.0, 0.0]), truth.apply([1.0, 0.0, 0.0])
+    seen = truth.inv().apply(rays)
+    for lit, refused in ((~dark, False), (dark, True)):
+        given = seen[lit], np.tile(POSITION, (int(lit.sum()), 1)), RADII, hint, sun
+        if refused:
+            with pytest.raises(EstimationError, match="face away from the Sun: they lie on the terminator"):
+                attitude_from_limb(*given)
+        else:
+            assert (truth.inv() * attitude_from_limb(*given).world_from_body).magnitude() < 1e-3
+
+
+def test_an_outline_far_above_the_body_is_blooming():
+    truth = Rotation.from_rotvec([0.2, 0.3, -0.5])
+    seen = truth.inv().apply(outline(POSITION, 300, height=4e6))
+    hint = np.array([1.0, 0.0, 0.0]), truth.apply([1.0, 0.0, 0.0])
+    with pytest.raises(EstimationError, match=r"5.6 % of the radius above the body"):
+        attitude_from_limb(seen, np.tile(POSITION, (300, 1)), RADII, hint)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.access import read_json
-from sightline.errors import FormatError, foreign_errors
+from sightline.errors import EstimationError, FormatError, foreign_errors
 from sightline.estimation.robust import robust_sigma
 from sightline.geometry.earth import from_geodetic
 from sightline.geometry.instrument import AreaDetector
@@ -26,7 +26,7 @@ from sightline.geometry.two_body import propagate, velocity_between
 from sightline.io.formats.images import open_image
 from sightline.io.formats.tables import write_columns
 from sightline.io.names import toml_string
-from sightline.motion.spin.limb import LimbFit, attitude_from_limb
+from sightline.motion.spin.limb import LEAST_POINTS, LimbFit, attitude_from_limb
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
@@ -49,12 +49,14 @@ LAYER_SIGMA = 25e3
 CLOCK, DELAY = 1e-3, 0.373
 #: Spin: rad per exposure about the column axis (line numbers fall with time) and its sigma; rad of the axis.
 TURN, TURN_SIGMA, AXIS_SIGMA = -0.0778, 2e-4, 0.01
-#: rad; of an attitude from the limb: where the centre is, and the turn about the line to it. rad/s; speed
-#: over distance where neither is known: 40 km/s at 100,000 km.
+#: rad; of an attitude from the limb at least: where the centre is, and the turn about the line to it. rad/s;
+#: speed over distance where neither is known: 40 km/s at 100,000 km.
 ATTITUDE_SIGMA, TURN_ABOUT_SIGMA, PARALLAX_SIGMA = 1e-3, 0.05, 4e-4
 #: Levels (8 bit) of blue, green, red below which a pixel is night or sky, and how far around these nothing is
 #: used (px): the limb is no texture.
 DARK, AROUND = (14.0, 18.0, 18.0), 24
+#: Level from which on pixels are overexposed, and px around such (lines, columns) that their charge reaches.
+SATURATED, BLOOM = 250, (9, 5)
 #: Columns at the left that see nothing, and pixels (of all framelets of an exposure) that are a lit disc.
 BLIND, LEAST_LIT = 26, 1000
 #: A radiation hit stands out of its surroundings by so many sigmas, and so many levels.
@@ -196,15 +198,24 @@ def unusable(hits: NDArray[np.bool_], median: NDArray[np.float32], dark: float) 
 
     night = ndimage.binary_opening(ndimage.uniform_filter(median, 7) < dark, np.ones((5, 5), bool))
     # a dilation by a wide square: the largest of rows, then of columns, is many times faster
-    out = hits | ndimage.maximum_filter(night, 2 * AROUND + 1, mode="constant")
+    out = hits | bloomed(median) | ndimage.maximum_filter(night, 2 * AROUND + 1, mode="constant")
     out[:, :BLIND] = True
     return np.asarray(out)
+
+
+def bloomed(level: NDArray[np.float32] | Pixels) -> NDArray[np.bool_]:
+    """Pixels of a framelet (lines, columns) that are overexposed, or near such."""
+    from scipy import ndimage
+
+    around = tuple(2 * reach + 1 for reach in BLOOM)
+    return np.asarray(ndimage.maximum_filter(level >= SATURATED, around, mode="constant"))
 
 
 def limb_points(framelets: Pixels) -> Array:
     """Places (N, 4) where sky turns to lit disc: exposure, strip, line, column.
 
-    Only green and red, and only where brightness rises steeply: the night side fades slowly.
+    Only green and red, and only where brightness rises steeply: the night side fades slowly. None near what
+    is overexposed: charge that spills moves the limb.
     """
     from scipy import ndimage
 
@@ -213,7 +224,7 @@ def limb_points(framelets: Pixels) -> Array:
         level = ndimage.gaussian_filter(
             ndimage.median_filter(framelets[exposure, strip].astype(np.float64), 3), 1.0
         )
-        steep = np.hypot(*np.gradient(level)) > 3.0
+        steep = (np.hypot(*np.gradient(level)) > 3.0) & ~bloomed(framelets[exposure, strip])
         above = level - DARK[strip]
         for axis in (0, 1):
             # crossings between neighbours along one axis
@@ -295,6 +306,12 @@ def limb_attitude(framelets: Pixels, interval: float, position: Array, sun: Arra
         In the same axes. The lit side of the disc lies towards smaller columns.
     """
     points = limb_points(framelets)
+    bright = float((framelets[:, 1:] >= SATURATED).mean())
+    if len(points) < LEAST_POINTS and bright > 0.0:
+        raise EstimationError(
+            f"{len(points)} limb points beside what is overexposed ({100 * bright:.2g} % of green and red); "
+            f"{LEAST_POINTS} or more are needed to find the attitude; take infinity, or another image"
+        )
     directions = np.empty((len(points), 3))
     for strip, (_, line) in enumerate(STRIPS):
         of = points[:, 1] == strip
@@ -302,7 +319,7 @@ def limb_attitude(framelets: Pixels, interval: float, position: Array, sun: Arra
         directions[of] = detector.directions(points[of, 2:])
     exposure = points[:, 0].astype(int)
     turned = Rotation.from_rotvec(TURN * exposure[:, None] * [1.0, 0.0, 0.0]).apply(directions)
-    return attitude_from_limb(turned, position[exposure], RADII, (np.array([-1.0, 0.0, 0.0]), sun))
+    return attitude_from_limb(turned, position[exposure], RADII, (np.array([-1.0, 0.0, 0.0]), sun), sun)
 
 
 #: px; the published lines of the axis lie so far beside what the images show.
@@ -352,7 +369,11 @@ def write_junocam_acquisition(
     interval = CLOCK + (known[own[0]].delay if own else DELAY)
     exposures = _write_frames(framelets, out)
     if far:
-        platform = ["attitude = [0.0, 0.0, 0.0, 1.0]"]
+        platform = [
+            "attitude = [0.0, 0.0, 0.0, 1.0]",
+            "attitude_sigma = 0.0",
+            "attitude_turn_sigma = 0.0",
+        ]
         surface = ['kind = "infinity"', f"parallax_sigma = {PARALLAX_SIGMA}"]
         epoch: list[str] = []  # attitudes in axes of their own belong into no message
     else:
@@ -407,6 +428,8 @@ def _located(
         f"world_rate = {ROTATION:.10g}",
         f"attitude = {fit.world_from_body.as_quat().tolist()}",
         f"# from {fit.kept} limb points, {FOCAL * fit.rms:.2f} px rms, {fit.height / 1e3:.0f} km above 1 bar",
+        f"attitude_sigma = {max(ATTITUDE_SIGMA, fit.sigma):.3g}",
+        f"attitude_turn_sigma = {max(TURN_ABOUT_SIGMA, fit.sigma_turn):.3g}   # about the line to the centre",
     ]
 
 
@@ -440,8 +463,6 @@ def _toml(
         "[platform]",
         'kind = "spin"',
         *platform,
-        f"attitude_sigma = {0.0 if far else ATTITUDE_SIGMA}",
-        f"attitude_turn_sigma = {0.0 if far else TURN_ABOUT_SIGMA}",
         "axis = [1.0, 0.0, 0.0]",
         f"axis_sigma = {AXIS_SIGMA}",
         f"rate = {TURN / interval:.9f}",
