@@ -37,7 +37,7 @@ _END_ROWS = 12
 _FAR = 1.0
 
 
-#: s by which times of a message are rounded at most: 1e-9, and instants of the days of this century in double.
+#: s by which times of a message are rounded at most: 1e-9, and instants far from t = 0 in double.
 _ROUNDED = 1e-6
 
 

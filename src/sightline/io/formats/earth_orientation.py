@@ -125,8 +125,8 @@ def _table(path: Path, columns: dict[str, Array], source: str) -> EarthOrientati
                 f"{high:g}; the "
                 "file is damaged, or another one is meant"
             )
-    # dX and dY of IAU 2000 are some .0002", .009" on single days of 1982; dPsi of IAU 1980, in the same place, is
-    # -.05 to -.1" since 1990
+    # dX of IAU 2000 is some .0002" (.009" on days of 1982); dPsi of IAU 1980, in the same place, is -.05 to
+    # -.1" since 1990
     of_pole = np.abs(columns["dx"])
     if np.isfinite(of_pole).any() and np.nanmedian(of_pole) > _LARGEST_OFFSET:
         raise FormatError(
