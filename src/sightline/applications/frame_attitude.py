@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -36,8 +36,10 @@ from sightline.motion.frames.passes import (
 )
 from sightline.motion.frames.solve import FrameEstimate, time_statics
 from sightline.motion.frames.start import coarse_shifts, turn_about_axis, turned_mount
+from sightline.motion.frames.ties import FrameTies
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.statics import frame_statics
 from sightline.result import makes_result
 from sightline.stages import Stages
@@ -73,6 +75,8 @@ def recover_frame_attitude(
     *,
     lens: LensKnowledge | None = None,
     height_sigma: float = 0.0,
+    sensors: Sequence[AttitudeSensor] = (),
+    control_points: ControlSightings | None = None,
     options: FrameOptions | None = None,
     progress: Progress | None = None,
     stages: Stages | None = None,
@@ -90,6 +94,9 @@ def recover_frame_attitude(
         of shifts over the detector takes what the constants leave (``motion/frames/lens_field.py``).
     height_sigma : float
         m; what is not known of the surface's height: heights of all windows are then estimated too.
+    sensors : sequence of AttitudeSensor
+        Star trackers and gyros; readings between frames count as far as the body went evenly there.
+    control_points : ControlSightings, optional
     options : FrameOptions, optional
     progress : callable, optional
         Called with what is being done, in words.
@@ -114,12 +121,15 @@ def recover_frame_attitude(
     """
     tell = progress or silent
     sequence = _prepare(frames, surface, lens or LensKnowledge(), height_sigma, options or FrameOptions())
+    ties = FrameTies.of([frame.camera for frame in sequence.frames], sensors, control_points)
     stages = stages or Stages()
-    stages.depend([sequence.frames, surface, sequence.statics, height_sigma, sequence.options])
+    given = [sequence.frames, surface, sequence.statics, height_sigma, sequence.options]
+    stages.depend([*given, sensors, control_points] if ties is not None else given)
     tell("shift between neighbouring frames")
     shifts = coarse_shifts(sequence.images)
     x = start(sequence, shifts)
-    sequence = masked(sequence, shifts)
+    # control points are rows once the frames are near: of a start they would be tens of pixels off
+    sequence = replace(masked(sequence, shifts), ties=ties)
     state = first_pass(sequence, x, stages, steps_of(tell, "first pass: wide search"))
     changes: list[float] = []
     for number in range(sequence.options.passes):
@@ -255,6 +265,7 @@ def _result(sequence: FramePasses, state: PassState, changes: list[float]) -> Fr
         changes=tuple(changes),
         band=TimeCovariance(t, estimate.angles, _lower_band(relative)),
         warnings=_warnings(state, observed, blocks, scale, changes),
+        sensors=() if unknowns.ties is None else unknowns.ties.uses(estimate.x, estimate.covariance),
         estimate=estimate,
         stars=state.stars,
     )

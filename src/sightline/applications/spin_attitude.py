@@ -27,8 +27,10 @@ from sightline.geometry.trajectory import Motion
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.frames.hidden import absolute_sigma, hidden_directions, relative_covariance
 from sightline.motion.frames.matches import FrameStar, kept_matches
+from sightline.motion.frames.ties import FrameTies
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.spin.matches import SpinPlan, StripPair, match_strips, strip_pairs
 from sightline.motion.spin.report import SpinFindings, findings
 from sightline.motion.spin.solve import (
@@ -115,6 +117,8 @@ def recover_spin_attitude(
     chip: ChipKnowledge | None = None,
     attitude_sigma: AttitudeSigma | None = None,
     parallax_sigma: float = 0.0,
+    sensors: Sequence[AttitudeSensor] = (),
+    control_points: ControlSightings | None = None,
     options: SpinOptions | None = None,
     progress: Progress | None = None,
     stages: Stages | None = None,
@@ -137,6 +141,9 @@ def recover_spin_attitude(
         How well the attitude at t = 0 is known; to 0.1 rad by default.
     parallax_sigma : float
         rad/s; speed over distance of what is seen, where the surface is infinity and neither is known.
+    sensors : sequence of AttitudeSensor
+        Star trackers and gyros; readings between exposures count as far as the body went evenly there.
+    control_points : ControlSightings, optional
     options : SpinOptions, optional
     progress : callable, optional
         Called with what is being done, in words.
@@ -160,7 +167,11 @@ def recover_spin_attitude(
     unknowns = _prepare(frames, surface, spin, lens or LensKnowledge(), chip, tied, parallax_sigma)
     pairs = seen_again(unknowns.frames)
     stages = stages or Stages()
-    stages.depend([unknowns, surface, options])
+    first = {frame.exposure: frame.camera for frame in reversed(frames)}
+    ties = FrameTies.of([first[k] for k in sorted(first)], sensors, control_points)
+    known = () if ties is None else (sensors, control_points)
+    stages.depend([unknowns, surface, options, *known])
+    unknowns = replace(unknowns, ties=ties)
     step = steps_of(tell, "first pass: wide search")
     plan = SpinPlan(options.window, options.first_search_px)
     cameras = [frame.camera for frame in frames]
@@ -309,6 +320,7 @@ def _result(
         changes=tuple(changes),
         band=TimeCovariance(t, estimate.angles, _lower_band(relative)),
         warnings=_warnings(observed, changes),
+        sensors=() if unknowns.ties is None else unknowns.ties.uses(estimate.angles.ravel(), covariance),
         estimate=estimate,
         stars=tuple(stars),
         spin=unknowns.spin.adjusted(estimate.x[: len(SPIN_NAMES)]),

@@ -17,7 +17,6 @@ from sightline.geometry.trajectory import Motion
 from sightline.io.formats.tables import read_attitudes, read_columns, read_motion
 from sightline.io.results.hidden import read_hidden, remove_hidden
 from sightline.io.results.line_of_sight import _unused, on_another_body, summarize
-from sightline.motion.sensors import AttitudeSensor
 
 HEADER = (
     "t,roll,pitch,yaw,sigma_roll,sigma_pitch,sigma_yaw,"
@@ -201,22 +200,13 @@ def test_the_hashes_are_those_of_every_file_that_was_read(recovery):
     assert {"acquisition.toml", "PAN.tif", "B1.tif", "B0.tif", "B2.tif"} <= set(recovery.summary["inputs"])
 
 
-def test_sensors_beside_frames_take_no_part_and_are_named_among_the_warnings(recovery):
-    sensor = AttitudeSensor(
-        "star tracker", "star-tracker", np.zeros(1), np.zeros(1), np.zeros((1, 3)), np.ones(1), 0.0, 0.0, 0.0
-    )
-    frames = replace(recovery.acquisition, sensors=(sensor,), frames=("any",))
-    assert any(said.startswith("not used: star tracker;") for said in _unused(frames))
-    assert _unused(replace(frames, frames=())) == []
-
-
 def test_sigmas_that_a_spinning_camera_leaves_unused_are_named(recovery):
     frame = SimpleNamespace(time_sigma=0.1)
     spinning = replace(recovery.acquisition, frames=(frame,), spin=object(), height_sigma=20.0)
     (said,) = _unused(spinning)
     assert said.startswith("not used: [surface] height_sigma, time_sigma;")
     exact = replace(spinning, frames=(SimpleNamespace(time_sigma=0.0),), height_sigma=0.0)
-    assert _unused(exact) == []
+    assert _unused(exact) == [] == _unused(recovery.acquisition)
     # of frames without a spin both are used
     assert _unused(replace(spinning, spin=None)) == []
 

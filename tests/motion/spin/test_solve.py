@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,6 +19,8 @@ from sightline.geometry.surface import Ellipsoid, Infinity
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.frames.matches import FrameStar
+from sightline.motion.frames.ties import FrameTies
+from sightline.motion.sensors import AttitudeSensor
 from sightline.motion.spin.matches import strip_pairs
 from sightline.motion.spin.report import findings
 from sightline.motion.spin.solve import AttitudeSigma, SpinUnknowns, layers_of, solve_spin, spin_statics
@@ -217,3 +221,37 @@ def test_one_lag_per_pair_confounds_rate_and_places_of_the_strips():
         spread.append(float(np.sqrt(change @ estimate.covariance[np.ix_(rows, rows)] @ change)))
     assert spread[0] > 0.9 * 0.05 * np.sqrt(2.0)
     assert spread[1] < 0.3 * spread[0]
+
+
+def tracked(seed):
+    """The attitude at t = 0 is hardly known, and a star tracker reads the body at every exposure."""
+    truth, spin, frames, pairs, stars = case(seed)
+    rng = np.random.default_rng(100 + seed)
+    t = INTERVAL * np.arange(EXPOSURES)
+    true = Rotation.from_matrix([truth.world_from_body(k) for k in range(EXPOSURES)])
+    angles = (spin.at(t).inv() * true).as_rotvec()
+    read = angles + 3e-5 * rng.standard_normal(3) + 2e-5 * rng.standard_normal(angles.shape)
+    tracker = AttitudeSensor("st", "star-tracker", t, t, read, np.full(EXPOSURES, 2e-5), 3e-5, 0.0, 0.0)
+    cameras = [frame.camera for frame in frames if frame.strip == 0]
+    unknowns = replace(
+        unknowns_of(frames, spin, Ellipsoid(RADIUS, RADIUS), heights=2e4),
+        attitude_sigma=AttitudeSigma(0.01, 0.01),
+        ties=FrameTies.of(cameras, [tracker], None),
+    )
+    return angles, solve_spin(stars, unknowns, Ellipsoid(RADIUS, RADIUS), pairs, steps=3)
+
+
+def test_a_star_tracker_ties_the_attitude_of_a_spinning_body():
+    """Pooled over seeds, both sides; its alignment of 3e-5 rad stays in the constant."""
+    mean = np.kron(np.full(EXPOSURES, 1.0 / EXPOSURES), np.eye(3))
+    total, seeds = 0.0, range(4)
+    for seed in seeds:
+        angles, found = tracked(seed)
+        error, covariance = mean @ (found.angles - angles).ravel(), mean @ found.angle_covariance @ mean.T
+        total += error @ np.linalg.solve(covariance, error)
+        sigma = np.sqrt(np.diag(covariance))
+        # about the axis to the body's centre nothing else ties it
+        assert (sigma < 1.1 * np.hypot(3e-5, 2e-5 / np.sqrt(EXPOSURES))).all() and sigma.max() > 2e-5
+        (use,) = found.unknowns.ties.uses(found.angles.ravel(), found.angle_covariance)
+        assert use.used == EXPOSURES and use.outliers == 0
+    assert_possible(total, 3 * len(seeds))

@@ -263,16 +263,11 @@ def _is_strip(acquisition: Acquisition) -> bool:
 
 def _unused(acquisition: Acquisition) -> list[str]:
     """What was given and read but does not take part in the estimate."""
-    if not acquisition.frames:
+    if not acquisition.frames or acquisition.spin is None:
         return []
-    given = [sensor.name for sensor in acquisition.sensors]
-    given += ["control points"] if acquisition.control_points is not None else []
-    if acquisition.spin is not None:
-        given += ["[surface] height_sigma"] if acquisition.height_sigma > 0.0 else []
-        given += ["time_sigma"] if any(frame.time_sigma > 0.0 for frame in acquisition.frames) else []
-    if not given:
-        return []
-    return [f"not used: {', '.join(given)}; of frames the motion is recovered from the images alone"]
+    given = ["[surface] height_sigma"] if acquisition.height_sigma > 0.0 else []
+    given += ["time_sigma"] if any(frame.time_sigma > 0.0 for frame in acquisition.frames) else []
+    return [f"not used: {', '.join(given)}; a spin takes both for exact"] if given else []
 
 
 def _method(result: LineOfSight) -> dict[str, Any]:

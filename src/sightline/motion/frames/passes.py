@@ -33,6 +33,7 @@ from sightline.motion.frames.start import (
     turn_about_axis,
     turned_mount,
 )
+from sightline.motion.frames.ties import FrameTies
 from sightline.motion.measure.consensus import ground_weights
 from sightline.motion.measure.match_noise import robust_weights
 from sightline.motion.measure.predict import StaticParameter
@@ -124,6 +125,7 @@ class FramePasses:
     free_lens: bool
     height_sigma: float
     options: FrameOptions
+    ties: FrameTies | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -132,7 +134,9 @@ class FramePasses:
 
     def unknowns(self, field: LensField | None) -> FrameUnknowns:
         """All unknowns, with a lens field where the lens is not known."""
-        return FrameUnknowns(tuple(frame.camera for frame in self.frames), self.statics, field)
+        return FrameUnknowns(
+            tuple(frame.camera for frame in self.frames), self.statics, field, ties=self.ties
+        )
 
     def step(self, window: tuple[int, int]) -> int:
         """Distance of windows (px) that gives about the wanted number of them."""
@@ -260,6 +264,10 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
         drifting = _drifting(estimate, drifting, options.drifting)
         stars = _weighed(stars, estimate, drifting)
         noise = _learned(estimate, options.lags)
+        if unknowns.ties is not None:
+            ties = unknowns.ties.learned(*estimate.by_images())
+            ties = ties.weighed(estimate.cameras, unknowns.statics, unknowns.lens_at_control())
+            unknowns = replace(unknowns, ties=ties)
         if unknowns.field is not None:
             rows = slice(unknowns.lens, None)
             unknowns = replace(

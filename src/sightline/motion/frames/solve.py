@@ -25,6 +25,7 @@ from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.matches import FrameStar
 from sightline.motion.frames.noise import FrameNoise, across, cholesky_factors, match_information, whitened_by
+from sightline.motion.frames.ties import FrameTies
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.statics import apply_statics
@@ -53,6 +54,8 @@ class FrameUnknowns:
         What the lens does beyond its constants; None where it is known.
     attitude_sigma, constant_sigma : float
         rad; prior of each frame's angles, and of a constant they share.
+    ties : FrameTies or None
+        Star trackers, gyros and control points.
     """
 
     nominal: tuple[FrameCamera, ...]
@@ -60,6 +63,7 @@ class FrameUnknowns:
     field: LensField | None = None
     attitude_sigma: float = ATTITUDE_SIGMA
     constant_sigma: float = CONSTANT_SIGMA
+    ties: FrameTies | None = None
 
     @property
     def frames(self) -> int:
@@ -88,6 +92,22 @@ class FrameUnknowns:
         if self.field is not None:
             out[self.lens :, self.lens :] = self.field.prior_precision()
         return out
+
+    def lens_at_control(self) -> Array:
+        """Shift (M, 2, size of the field) of the sightings of control points with the lens field."""
+        control = None if self.ties is None else self.ties.control
+        if self.field is None or control is None:
+            return np.zeros((0 if control is None else len(control.sigma), 2, self.size - self.lens))
+        at = self.field.weights(control.pixels)
+        out = np.zeros((len(at), 2, 2, at.shape[1]))
+        out[:, 0, 0] = out[:, 1, 1] = at
+        return out.reshape(len(at), 2, -1)
+
+    def known(self, cameras: Sequence[FrameCamera], x: Array) -> tuple[Array, Array]:
+        """Information (P, P) and right side (P,) of what is known besides the images, about `x`."""
+        if self.ties is None:
+            return np.zeros((self.size, self.size)), np.zeros(self.size)
+        return self.ties.equations(cameras, self.statics, self.lens_at_control(), x)
 
     def field_design(self, star: FrameStar) -> Array:
         """Shift of a star's matches with the unknowns of the lens field, (G, K, 2, size of the field).
@@ -218,6 +238,14 @@ class FrameEstimate:
         size = 3 * self.unknowns.frames
         return self.covariance[:size, :size]
 
+    def by_images(self) -> tuple[Array, Array]:
+        """(P,) the unknowns and (P, P) their covariance as the images and the prior alone have them."""
+        prior = self.unknowns.prior_precision()
+        posterior = np.linalg.inv(self.information + prior)
+        _, rhs = self.unknowns.known(self.cameras, self.x)
+        # at the estimate, right sides of images, of what is known and of the prior cancel
+        return self.x - posterior @ rhs, 0.5 * (posterior + posterior.T)
+
     @property
     def clean_px(self) -> list[Array]:
         """Residuals with what relief and drift explain taken out, (G, K, 2) px per star."""
@@ -298,7 +326,8 @@ def solve_frames(
         cameras = unknowns.cameras(x)
         lines = unknowns.linearised(stars, cameras, surface, x)
         reduced = _reduce(stars, lines, unknowns, noise)
-        solver = _Solver(reduced, prior, noise, _ground(stars, cameras, surface), fixed)
+        known = unknowns.known(cameras, x)
+        solver = _Solver(reduced, prior, noise, _ground(stars, cameras, surface), fixed, known)
         step = solver.step(x)
         x = x + step
         if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diag(solver.posterior))):
@@ -307,7 +336,7 @@ def solve_frames(
     lines = unknowns.linearised(stars, cameras, surface, x)
     ground = _ground(stars, cameras, surface)
     reduced = _reduce(stars, lines, unknowns, noise)
-    solver = _Solver(reduced, prior, noise, ground, fixed)
+    solver = _Solver(reduced, prior, noise, ground, fixed, unknowns.known(cameras, x))
     influence = _influence(stars, lines, unknowns, noise, solver)
     shared = neighbour_covariance(influence, noise.shared)
     return FrameEstimate(
@@ -418,7 +447,13 @@ class _Solver:
     """Ground fields eliminated: posterior of the unknowns."""
 
     def __init__(
-        self, reduced: _Reduced, prior: Array, noise: FrameNoise, ground: Array, fixed: int | None
+        self,
+        reduced: _Reduced,
+        prior: Array,
+        noise: FrameNoise,
+        ground: Array,
+        fixed: int | None,
+        known: tuple[Array, Array],
     ) -> None:
         """Eliminate and invert."""
         self.prior, self.rhs = prior, reduced.rhs
@@ -432,7 +467,8 @@ class _Solver:
             self.rhs = self.rhs - part.loose.T @ part.kept_rhs
         self.information = 0.5 * (information + information.T)
         free = slice(0, fixed)
-        inverse = np.linalg.inv((self.information + prior)[free, free])
+        self.rhs = self.rhs + known[1]
+        inverse = np.linalg.inv((self.information + known[0] + prior)[free, free])
         self.posterior = np.zeros_like(prior)
         self.posterior[free, free] = 0.5 * (inverse + inverse.T)
 

@@ -24,6 +24,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.matches import FrameStar
+from sightline.motion.frames.ties import FrameTies
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.spin.departure_size import departure_sizes
@@ -97,6 +98,8 @@ class SpinUnknowns:
     layers : tuple of (str, float)
         Per strip, its name and how well the height of the layer that it sees is known, m; empty where all
         see one surface.
+    ties : FrameTies or None
+        Star trackers, gyros and control points.
     """
 
     frames: tuple[Frame, ...]
@@ -105,6 +108,7 @@ class SpinUnknowns:
     statics: tuple[StaticParameter, ...]
     departure_sigma: Array
     layers: tuple[tuple[str, float], ...] = ()
+    ties: FrameTies | None = None
 
     @property
     def t(self) -> Array:
@@ -189,6 +193,51 @@ class SpinUnknowns:
         out[:, : len(SPIN_NAMES)] = self.by_spin(x).reshape(3 * n, -1)
         out[:, self.constants :] = np.eye(3 * n)
         return out
+
+    def known(self, x: Array) -> tuple[Array, Array]:
+        """Information (P, P) and right side (P,) of what is known besides the images, about `x` (P,).
+
+        The right side is that of all of `x`, not of a step from it.
+        """
+        information, rhs = np.zeros((self.size, self.size)), np.zeros(self.size)
+        if self.ties is None:
+            return information, rhs
+        to_angles = self.to_angles(x)
+        own, side = self.ties.attitude(len(to_angles), self.angles(x).ravel())
+        information += to_angles.T @ own @ to_angles
+        rhs += to_angles.T @ side
+        if self.ties.control is not None:
+            value, design, covariance = self._sightings(x, self.ties)
+            if len(value):
+                weighed = np.linalg.solve(covariance, design)
+                information += design.T @ weighed
+                rhs += weighed.T @ value
+        return information, rhs + information @ x
+
+    def _sightings(self, x: Array, ties: FrameTies) -> tuple[Array, Array, Array]:
+        """Residuals (2M,) of control points, by all unknowns (2M, P), their covariance (2M, 2M), px."""
+        none = np.zeros((len(ties.control_weight), 2, 0))
+        value, by_images, covariance = ties.sightings(self.cameras(x), self.statics, none)
+        turns, to_angles = 3 * len(self.frames), self.to_angles(x).reshape(-1, 3, self.size)
+        of_images = to_angles[[frame.exposure for frame in self.frames]].reshape(turns, self.size)
+        design = by_images[:, :turns] @ of_images
+        first = len(SPIN_NAMES)
+        design[:, first : first + len(self.statics)] += by_images[:, turns:]
+        return value, design, covariance
+
+    def learned(self, information: Array, rhs: Array, x: Array) -> SpinUnknowns:
+        """The same with what is known weighed by what the images alone say, by their normal equations."""
+        if self.ties is None:
+            return self
+        root = self.prior_root
+        alone = root @ np.linalg.inv(root @ information @ root + np.eye(len(root))) @ root
+        by_images = alone @ rhs
+        to_angles = self.to_angles(x)
+        angles = self.angles(x).ravel() + to_angles @ (by_images - x)
+        ties = self.ties.learned(angles, to_angles @ alone @ to_angles.T)
+        cameras = self.cameras(x)
+        none = np.zeros((len(ties.control_weight), 2, 0))
+        return replace(self, ties=ties.weighed(cameras, self.statics, none))
 
     def cameras(self, x: Array) -> list[FrameCamera]:
         """The cameras of all images with every unknown `x` (size,) away from nominal."""
@@ -516,7 +565,7 @@ def solve_spin(
         rows = linear_rows(stars, unknowns, surface, pairs, x)
         fit = _Fit(rows, unknowns, len(pairs))
         fit.run(ROUNDS)
-        x, unknowns = fit.x, fit.unknowns
+        x, unknowns = fit.x, fit.unknowns.learned(fit.information, fit.rhs, fit.x)
     rows = replace(fit.rows, residual=fit.rows.left(x), at=x)
     return SpinEstimate(
         unknowns,
@@ -543,6 +592,7 @@ class _Fit:
         self.covariance = unknowns.prior_root @ unknowns.prior_root
         self.information = np.zeros_like(self.covariance)
         self.rhs, self.limit = np.zeros(len(self.covariance)), np.zeros(3)
+        self.known, self.known_rhs = unknowns.known(rows.at)
 
     def run(self, rounds: int) -> None:
         """Solve, tell mismatches, learn; again."""
@@ -563,20 +613,21 @@ class _Fit:
         self.rhs = np.einsum("mip,mi->p", weighed, rows.residual + rows.design @ rows.at)
         root = self.unknowns.prior_root
         # unit prior: what is known exactly and what is free differ by many powers of ten
-        inverse = np.linalg.inv(root @ self.information @ root + np.eye(len(root)))
+        inverse = np.linalg.inv(root @ (self.information + self.known) @ root + np.eye(len(root)))
         covariance = root @ inverse @ root
         self.covariance = 0.5 * (covariance + covariance.T)
-        self.x = self.covariance @ self.rhs
+        self.x = self.covariance @ (self.rhs + self.known_rhs)
 
     def _size_departures(self) -> None:
         """What the data say of the departures' size, the constants taken out."""
         first = self.unknowns.constants
         root = self.unknowns.prior_root[:first, :first]
-        own = root @ self.information[:first, :first] @ root + np.eye(first)
-        cross = root @ self.information[:first, first:]
-        out = np.linalg.solve(own, np.column_stack([cross, root @ self.rhs[:first]]))
-        information = self.information[first:, first:] - cross.T @ out[:, :-1]
-        rhs = self.rhs[first:] - cross.T @ out[:, -1]
+        every, right = self.information + self.known, self.rhs + self.known_rhs
+        own = root @ every[:first, :first] @ root + np.eye(first)
+        cross = root @ every[:first, first:]
+        out = np.linalg.solve(own, np.column_stack([cross, root @ right[:first]]))
+        information = every[first:, first:] - cross.T @ out[:, :-1]
+        rhs = right[first:] - cross.T @ out[:, -1]
         size, self.limit = departure_sizes(information, rhs, self.unknowns.departure_sigma)
         self.unknowns = replace(self.unknowns, departure_sigma=size)
 
