@@ -222,6 +222,8 @@ def joint_line_of_sight(
         step = steps_of(tell, f"pass {number + 1} of at most {options.passes}: matching")
         refined = _compensated_pass(draft, state, number, options, height_sigma, tell, step)
         changes = (*passed.changes, _change(draft, state, refined))
+        # without its factors, which lie in memory and on disk as long as it does
+        refined = replace(refined, estimate=replace(refined.estimate))
         passed = _kept(stages, names, replace(passed, name=names[number + 1], state=refined, changes=changes))
     if wide and passed.name not in (_WHOLE, _GIVEN):
         step = steps_of(tell, "last pass: matching over the whole field")
@@ -405,6 +407,9 @@ def _compensated_pass(
         )
     if number == 0 and options.passes > 1:
         # the first linearisation still shows in this pass: a spectrum fitted to it would hold its error
+        return solved
+    if strip.draft and number > 1:
+        # the last pass fits the spectrum anew: until then that of the pass before serves
         return solved
     fitted = steps_of(tell, "fitting the spectrum of the motion")
     model = fit_prior_model(

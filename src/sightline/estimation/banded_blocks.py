@@ -36,7 +36,7 @@ from sightline.writing import naming_file, scratch_place
 Array = NDArray[np.float64]
 
 #: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
-PIECE_BYTES, HELD_BYTES = 12_000_000, 16_000_000
+PIECE_BYTES, HELD_BYTES = 12_000_000, 24_000_000
 
 
 class BlockwiseFactor:
@@ -225,6 +225,8 @@ class StoredBand:
         self.subdiagonals, self.n = min(subdiagonals, n - 1), n
         self._columns = piece_columns(self.subdiagonals)
         self._pieces = _Pieces(8 * (self.subdiagonals + 1) * n)
+        #: The piece that something was added to last: not yet put back.
+        self._open: tuple[int, Array] | None = None
 
     @classmethod
     def of(cls, band: Array) -> StoredBand:
@@ -261,6 +263,7 @@ class StoredBand:
 
     def columns(self, first: int, last: int) -> Array:
         """Columns [first, last) as an array (b + 1, last - first) that may be written to."""
+        self._put_back()
         out = np.zeros((self.subdiagonals + 1, last - first))
         for number, (begin, end) in enumerate(self.spans()):
             low, high = max(begin, first), min(end, last)
@@ -280,11 +283,22 @@ class StoredBand:
             low, high = max(begin, first), min(end, last)
             if low >= high:
                 continue
-            piece = self._pieces.get(number)
-            if piece is None:
-                piece = np.zeros((self.subdiagonals + 1, end - begin))
+            piece = self._opened(number, end - begin)
             piece[: len(band), low - begin : high - begin] += band[:, low - first : high - first]
-            self._pieces.put(number, piece)
+
+    def _opened(self, number: int, columns: int) -> Array:
+        """A piece to be added to."""
+        if self._open is None or self._open[0] != number:
+            self._put_back()
+            piece = self._pieces.get(number)
+            self._open = number, np.zeros((self.subdiagonals + 1, columns)) if piece is None else piece
+        return self._open[1]
+
+    def _put_back(self) -> None:
+        """Keep what was added last."""
+        if self._open is not None:
+            self._pieces.put(*self._open)
+            self._open = None
 
     def plus(self, other: StoredBand) -> StoredBand:
         """The sum of two matrices."""
@@ -296,7 +310,8 @@ class StoredBand:
 
     def diagonal(self) -> Array:
         """(n,)."""
-        return np.concatenate([self.columns(*span)[0] for span in self.spans()])
+        # copies: a row of a piece would hold all of it
+        return np.concatenate([self.columns(*span)[0].copy() for span in self.spans()])
 
     def times(self, x: Array) -> Array:
         """Product with `x`, (n,) or (n, k)."""

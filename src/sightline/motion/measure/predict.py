@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,11 @@ MovingCamera = PushbroomCamera | FrameCamera
 ANGLE_STEP = 5e-7
 #: Step of the finite difference by height (m).
 HEIGHT_STEP = 10.0
+#: Lines of an image up to which turned cameras are kept (100 bytes a line and turn).
+KEPT_LINES = 8192
+
+#: Turned cameras by camera and angles.
+_KEPT: WeakKeyDictionary[PushbroomCamera, dict[tuple[float, ...], MovingCamera]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +123,21 @@ def residuals(matches: Matches, predicted: Array) -> Array:
 
 
 def turned(camera: MovingCamera, angles: Array) -> MovingCamera:
-    """The same camera with its body turned by constant small `angles` (roll, pitch, yaw; rad)."""
+    """The same camera with its body turned by constant small `angles` (roll, pitch, yaw; rad).
+
+    All stars of a pass ask for the same few: those of short images are kept as long as the camera, with the
+    poses of their lines.
+    """
+    if not isinstance(camera, PushbroomCamera) or camera.lines > KEPT_LINES:
+        return _turned(camera, angles)
+    kept, key = _KEPT.setdefault(camera, {}), tuple(float(angle) for angle in angles)
+    if key not in kept:
+        kept[key] = _turned(camera, angles)
+    return kept[key]
+
+
+def _turned(camera: MovingCamera, angles: Array) -> MovingCamera:
+    """A new camera, turned."""
     trajectory = camera.trajectory
     motion = trajectory.motion
     if motion is None:

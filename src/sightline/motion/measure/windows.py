@@ -23,7 +23,7 @@ from sightline.imaging.source import ImageSource
 
 Array = NDArray[np.float64]
 #: Images are read in stretches of about so many pixels.
-_READ_PIXELS = 4_000_000
+_READ_PIXELS = 1_000_000
 #: Windows that reach over less than this share of a line are laid for a partner that sees no more of it.
 NARROW = 0.5
 #: Parts of a window whose brightness is looked at, and how many columns each has at least.
