@@ -10,7 +10,8 @@ its ``frames.csv`` is capture,camera,t,image), ``truth-lines.csv`` (the same for
 line of each frame: frame,line,t,...) with a rolling shutter, ``truth-biases.csv`` (quantity,x,y,z),
 ``truth-focal.csv`` (camera,focal_length_px) where a wrong one is given, ``truth-dem.tif``,
 ``truth-bands.tif`` (numbers that a few bands should have at every place, without noise; the wavelength of
-each in its description and in its tag ``wavelength_nm``) and ``truth-scene.json`` (case, seed, options, where the spectra are from).
+each in its description and in its tag ``wavelength_nm``) and ``truth-scene.json`` (case, seed, options, where
+the spectra are from).
 
 Beside the keys that every reader of SEQUENCE.toml knows, ``[sequence]`` holds ``name`` and ``epoch``, and
 ``[camera]`` one of ``wavelength_nm`` (one per line), ``mosaic_nm`` (rows of a pattern that repeats from pixel

@@ -2,8 +2,9 @@
 
 COLMAP's pixels are (x, y) = (column, line) with 0 at the corner of the first pixel, so that half a pixel is
 added to ours; its poses are camera_from_world: a quaternion with the scalar first, and the world's origin in
-camera axes; camera axes are ours. Sightings of no point are written as such, and left out in reading. Rigs
-and frames of newer versions are not needed: one image is one frame.
+camera axes; camera axes are ours. Sightings of no point are written as such, and left out in reading. Cameras of
+a rig have ``rigs`` and ``frames`` beside these (COLMAP 3.12 and later): how each sits in the first, and one
+pose per capture; without them one image is one frame. Images hold their poses too, which is what is read.
 
 Not here: which poses and points of a result are written (``io/results/stereo_exports.py``,
 ``io/results/sequence_exports.py``).
@@ -41,6 +42,8 @@ MODELS = {
 }
 #: Relative difference of the two focal lengths up to which pixels are square.
 _SQUARE = 1e-3
+#: Number of the kind of sensor that a camera is.
+_CAMERA = 0
 _SIGHT = np.dtype([("x", "<f8"), ("y", "<f8"), ("id", "<i8")])
 
 
@@ -119,10 +122,16 @@ def write_colmap_model(folder: Path, model: Reconstruction, *, binary: bool = Fa
         _replace(folder / "cameras.bin", _camera_bytes(model))
         _replace(folder / "images.bin", _image_bytes(model, poses, seen))
         _replace(folder / "points3D.bin", _point_bytes(model, tracks))
+        if model.captures:
+            _replace(folder / "rigs.bin", _rig_bytes(model))
+            _replace(folder / "frames.bin", _frame_bytes(model))
     else:
         _replace(folder / "cameras.txt", _text(_camera_lines(model)))
         _replace(folder / "images.txt", _text(_image_lines(model, poses, seen)))
         _replace(folder / "points3D.txt", _text(_point_lines(model, tracks)))
+        if model.captures:
+            _replace(folder / "rigs.txt", _text(_rig_lines(model)))
+            _replace(folder / "frames.txt", _text(_frame_lines(model)))
 
 
 def _tracks(model: Reconstruction, place: NDArray[np.intp]) -> list[NDArray[np.intp]]:
@@ -167,6 +176,55 @@ def _residual(model: Reconstruction, k: int) -> float:
     """COLMAP's own value for a residual that is not known is -1."""
     value = float(model.residual_px[k])
     return value if np.isfinite(value) else -1.0
+
+
+def _seven(pose: tuple[Rotation, Array]) -> list[float]:
+    """Quaternion, scalar first, and translation."""
+    x, y, z, w = pose[0].as_quat()
+    return [w, x, y, z, *pose[1]]
+
+
+def _frames(model: Reconstruction) -> list[tuple[int, list[float], list[tuple[int, int]]]]:
+    """Number of each capture that has a pose, that pose, and its images: number of camera and of image."""
+    return [
+        (
+            capture + 1,
+            _seven(pose),
+            [(int(model.camera[k]) + 1, int(k) + 1) for k in np.flatnonzero(model.capture == capture)],
+        )
+        for capture, pose in sorted(model.rig_poses().items())
+    ]
+
+
+def _rig_lines(model: Reconstruction) -> Iterable[str]:
+    sensors = {camera: pose for camera, pose in model.sensors().items() if camera > 0}
+    parts = [
+        f"CAMERA {camera + 1} 1 " + " ".join(f"{v:.17g}" for v in _seven(pose))
+        for camera, pose in sorted(sensors.items())
+    ]
+    yield " ".join([f"1 {len(sensors) + 1} CAMERA 1", *parts])
+
+
+def _frame_lines(model: Reconstruction) -> Iterable[str]:
+    for number, pose, images in _frames(model):
+        data = " ".join(f"CAMERA {camera} {image}" for camera, image in images)
+        yield f"{number} 1 " + " ".join(f"{v:.17g}" for v in pose) + f" {len(images)} {data}"
+
+
+def _rig_bytes(model: Reconstruction) -> Iterable[bytes]:
+    sensors = {camera: pose for camera, pose in model.sensors().items() if camera > 0}
+    yield struct.pack("<QIIiI", 1, 1, len(sensors) + 1, _CAMERA, 1)
+    for camera, pose in sorted(sensors.items()):
+        yield struct.pack("<iIB7d", _CAMERA, camera + 1, 1, *_seven(pose))
+
+
+def _frame_bytes(model: Reconstruction) -> Iterable[bytes]:
+    frames = _frames(model)
+    yield struct.pack("<Q", len(frames))
+    for number, pose, images in frames:
+        yield struct.pack("<II7dI", number, 1, *pose, len(images))
+        for camera, image in images:
+            yield struct.pack("<iIQ", _CAMERA, camera, image)
 
 
 def _camera_bytes(model: Reconstruction) -> Iterable[bytes]:

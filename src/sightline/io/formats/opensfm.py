@@ -5,6 +5,10 @@ camera_from_world as a rotation vector, and the world's origin in camera axes; c
 in the image are parts of its larger side, from its middle; the centre of the first pixel has the pixel
 coordinate 0, as ours. Sightings are in other files of OpenSfM and not here.
 
+Of a rig ``rig_cameras`` (how each camera sits in the rig) and ``rig_instances`` (a pose per capture, and which
+shot is of which camera) stand beside them, and as ``rig_cameras.json`` and ``rig_assignments.json``, which
+OpenSfM begins with; shots hold their own poses too, which is what is read.
+
 Not here: COLMAP models (``colmap.py``).
 """
 
@@ -62,10 +66,35 @@ def write_opensfm(
             "camera": _name(int(model.camera[k])),
             "orientation": 1,
         }
+    if model.captures:
+        _add_rig(path.parent, model, content)
     if reference is not None:
         longitude, latitude, height = reference
         content["reference_lla"] = {"latitude": latitude, "longitude": longitude, "altitude": height}
     whole_text(path, json.dumps([content], indent=1))
+
+
+def _add_rig(folder: Path, model: Reconstruction, content: dict[str, Any]) -> None:
+    """Rig cameras and instances of a reconstruction, and the two files that OpenSfM begins with."""
+    cameras = {_name(k): _posed(pose) for k, pose in sorted(model.sensors().items())}
+    of_capture: dict[int, dict[str, str]] = {}
+    for name, camera, capture in zip(model.names, model.camera, model.capture, strict=True):
+        of_capture.setdefault(int(capture), {})[name] = _name(int(camera))
+    content["rig_cameras"] = cameras
+    content["rig_instances"] = {
+        model.captures[k]: {**_posed(pose), "rig_camera_ids": of_capture[k]}
+        for k, pose in sorted(model.rig_poses().items())
+    }
+    known = {name: {**pose, "camera": name} for name, pose in cameras.items()}
+    whole_text(folder / "rig_cameras.json", json.dumps(known, indent=1))
+    assigned = {
+        model.captures[k]: [list(pair) for pair in images.items()] for k, images in of_capture.items()
+    }
+    whole_text(folder / "rig_assignments.json", json.dumps(assigned, indent=1))
+
+
+def _posed(pose: tuple[Rotation, Array]) -> dict[str, list[float]]:
+    return {"rotation": pose[0].as_rotvec().tolist(), "translation": np.asarray(pose[1]).tolist()}
 
 
 def _name(camera: int) -> str:

@@ -48,6 +48,11 @@ class Reconstruction(ReadOnlyArrays):
         Of each sighting; empty where the format has none. A sighting of no (known) point has -1 as its point.
     pixels : (N, 2)
         (line, column).
+    captures : tuple of str
+        Names of the captures of a rig, whose detectors sit in each other's axes the same way in all of them;
+        empty where each image stands alone.
+    capture : (M,) int
+        Which capture each image is of; empty likewise.
     """
 
     names: tuple[str, ...]
@@ -60,6 +65,8 @@ class Reconstruction(ReadOnlyArrays):
     image: Index = field(default_factory=_no_numbers)
     point: Index = field(default_factory=_no_numbers)
     pixels: Array = field(default_factory=lambda: np.empty((0, 2)))
+    captures: tuple[str, ...] = ()
+    capture: Index = field(default_factory=_no_numbers)
 
     def __post_init__(self) -> None:
         """Check and freeze."""
@@ -68,6 +75,9 @@ class Reconstruction(ReadOnlyArrays):
         object.__setattr__(self, "camera", as_index(self.camera, "camera", len(self.detectors)))
         object.__setattr__(self, "image", as_index(self.image, "image", len(self.names)))
         object.__setattr__(self, "point", as_index(self.point, "point", len(self.points), least=-1))
+        object.__setattr__(self, "capture", as_index(self.capture, "capture", len(self.captures)))
+        if self.captures and len(self.capture) != len(self.names):
+            raise InputError(f"`capture` needs a row for each of {len(self.names)} images")
         images = [len(self.names), len(self.camera), len(self.position), len(self.world_from_camera)]
         sights = [len(self.image), len(self.point), len(self.pixels)]
         if len(set(images)) != 1 or len(set(sights)) != 1 or len(self.points) != len(self.residual_px):
@@ -78,6 +88,36 @@ class Reconstruction(ReadOnlyArrays):
         name, count = Counter(self.names).most_common(1)[0] if self.names else ("", 0)
         if count > 1:
             raise InputError(f"{count} images are called {name!r}; each needs a name of its own")
+
+    def sensors(self) -> dict[int, tuple[Rotation, Array]]:
+        """Of each detector of a rig: camera_from_rig, and where the rig's origin lies in its axes (m).
+
+        The rig's axes are those of the camera of the first detector; cameras that share no capture with it
+        are left out.
+        """
+        out: dict[int, tuple[Rotation, Array]] = {}
+        first = {int(self.capture[k]): k for k in np.flatnonzero(self.camera == 0)}
+        for k, (camera, capture) in enumerate(zip(self.camera, self.capture, strict=True)):
+            if int(camera) not in out and int(capture) in first:
+                at = first[int(capture)]
+                turn = self.world_from_camera[k].inv()
+                moved = np.array(self.position[at] - self.position[k])
+                out[int(camera)] = turn * self.world_from_camera[at], turn.apply(moved)
+        return out
+
+    def rig_poses(self) -> dict[int, tuple[Rotation, Array]]:
+        """Of each capture: rig_from_world, and where the world's origin lies in the rig's axes (m)."""
+        sensors = self.sensors()
+        out: dict[int, tuple[Rotation, Array]] = {}
+        for k in np.argsort(self.camera, kind="stable"):
+            capture, camera = int(self.capture[k]), int(self.camera[k])
+            if capture in out or camera not in sensors:
+                continue
+            turn, moved = sensors[camera]
+            rig_from_world = turn.inv() * self.world_from_camera[int(k)].inv()
+            place = -self.world_from_camera[int(k)].inv().apply(np.array(self.position[k]))
+            out[capture] = rig_from_world, turn.inv().apply(place - moved)
+        return out
 
     @property
     def known(self) -> list[int]:

@@ -57,7 +57,9 @@ def write_sequence_result(
     """
     write_sequence_poses(folder, sequence, found.poses, found.source)
     few = len(found.tracks) <= EXPORTED_SIGHTINGS
-    notes = write_pose_exports(folder, sequence, found.poses, found.source, found.tracks if few else None)
+    notes = write_pose_exports(
+        folder, sequence, found.poses, found.source, found.tracks if few else None, found.rig
+    )
     if not few:
         notes += (
             f"colmap/ and reconstruction.json hold no points: there are {len(found.tracks)} sightings, "

@@ -11,7 +11,7 @@ Not here: the formats (``poses.py``, ``io/formats/colmap.py``, ``io/formats/open
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,7 @@ from sightline.io.sequence.models import FLAT, GEODETIC, ORIGIN_FILE
 from sightline.photogrammetry.flight.found_ground import level_ground
 from sightline.photogrammetry.flight.poses import FramePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.rig_solver import RigAdjusted
 from sightline.photogrammetry.sightings import Tracks
 
 Array = NDArray[np.float64]
@@ -128,6 +129,7 @@ def write_pose_exports(
     poses: FramePoses,
     source: Sequence[str],
     tracks: Tracks | None = None,
+    rig: RigAdjusted | None = None,
 ) -> tuple[str, ...]:
     """The same poses for other programs.
 
@@ -144,6 +146,8 @@ def write_pose_exports(
         As of `write_sequence_poses`.
     tracks : Tracks, optional
         Sightings of the points of `poses`, as many as its residuals.
+    rig : RigAdjusted, optional
+        Of several cameras: models for other programs hold the images of all.
 
     Returns
     -------
@@ -154,7 +158,8 @@ def write_pose_exports(
     level = level_axes_of(problem, poses.position)
     names = picture_names(sequence)
     model = reconstruction_of(problem, names, poses, tracks, level)
-    write_colmap_model(folder / "colmap", model)
+    whole = model if rig is None else rig_reconstruction(sequence, poses, rig, level)
+    write_colmap_model(folder / "colmap", whole)
     place = level.place or (0.0, 0.0, 0.0)
     columns = GEODETIC if level.place is not None else FLAT
     write_columns(
@@ -162,7 +167,7 @@ def write_pose_exports(
         dict(zip(columns, np.array(place)[:, None], strict=True)),
         dict.fromkeys(columns, "%.10g"),
     )
-    write_opensfm(folder / "reconstruction.json", model, level.place)
+    write_opensfm(folder / "reconstruction.json", whole, level.place)
     body = level.turned(poses.world_from_body)
     for name, kind, angles in (
         ("opk.csv", OPK, opk_of_camera(model.world_from_camera)),
@@ -213,6 +218,55 @@ def reconstruction_of(
         number,
         tracks.pixels[good] if problem.readout_time == 0.0 else _of_first_lines(problem, poses, tracks, good),
     )
+
+
+def rig_reconstruction(
+    sequence: FrameSequence, poses: FramePoses, rig: RigAdjusted, level: LevelAxes
+) -> Reconstruction:
+    """Poses of the images of all cameras of a rig, and points that they show, in level axes."""
+    problem, offsets, count = sequence.problem, rig.offsets, len(sequence.problem)
+    captures = replace(problem.images, position=poses.position, world_from_body=poses.world_from_body)
+    images = offsets.images(captures)
+    cameras = problem.rig
+    files = sequence.rig_files or tuple((None,) * count for _ in cameras)
+    there = np.array([
+        camera.usable[k] for camera in cameras for k in range(count)
+    ])  # fmt: skip
+    rows = np.flatnonzero(there)
+    number = np.full(len(there), -1)
+    number[rows] = np.arange(len(rows))
+    mounts = Rotation.concatenate([cameras[c].mount for c in images.camera[rows]])
+    names = tuple(_image_name(problem, files, int(k), count) for k in rows)
+    if len(set(names)) < len(names):
+        names = tuple(f"{cameras[k // count].name}/{name}" for k, name in zip(rows, names, strict=True))
+    known = np.flatnonzero(np.isfinite(rig.poses.points).all(axis=1))
+    good = np.flatnonzero(~rig.poses.rejected & np.isin(rig.tracks.point, known) & there[rig.tracks.image])
+    kept, point = np.unique(rig.tracks.point[good], return_inverse=True)
+    square = np.bincount(point, (rig.poses.residual_px[good] ** 2).sum(axis=1), len(kept))
+    rms = np.sqrt(square / np.maximum(np.bincount(point, minlength=len(kept)), 1))
+    return Reconstruction(
+        single_words(names),
+        tuple(offsets.detector(c, camera.detector) for c, camera in enumerate(cameras)),
+        images.camera[rows],
+        level.points(np.array(images.position[rows])),
+        level.turned(images.world_from_body[rows]) * mounts,
+        level.points(rig.poses.points[kept]),
+        rms,
+        number[rig.tracks.image[good]],
+        point,
+        rig.tracks.pixels[good],
+        single_words(problem.frames),
+        rows % count,
+    )
+
+
+def _image_name(
+    problem: SequenceProblem, files: Sequence[Sequence[Path | None]], image: int, count: int
+) -> str:
+    """Name of the file of an image of a rig; made of capture and camera where it has none."""
+    camera, capture = divmod(image, count)
+    path = files[camera][capture]
+    return f"{problem.frames[capture]}-{problem.rig[camera].name}" if path is None else path.name
 
 
 def _of_first_lines(

@@ -9,6 +9,7 @@ Not here: following (``matching/follow.py``), the adjustment (``rig_poses.py``).
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,7 +21,7 @@ from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import Array
 from sightline.geometry.surface import Surface
-from sightline.imaging.source import ImageSource
+from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.matching.follow import Followed
 from sightline.matching.match_images import match_images
 from sightline.matching.whitening import estimate_whitening, gradient_filter
@@ -150,7 +151,9 @@ def _turn_of(
     for k in some:
         pair = [rig_cameras(images, cameras, offsets, int(k))[c] for c in (partner, camera)]
         try:
-            found = match_frames([cameras[c].sources[k] for c in (partner, camera)], pair, surface, plan)
+            found = match_frames(
+                [_whole(cameras[c].sources[k]) for c in (partner, camera)], pair, surface, plan
+            )
         except EstimationError:
             continue
         hub, other = found.image == 0, found.image == 1
@@ -239,6 +242,7 @@ def find_in_rig(
     hub_of = np.full(int(followed.point.max()) + 1, -1)
     hub_of[followed.point[first]] = followed.image[first]
     found: list[Tracks] = []
+    images_of = _Held(cameras)
     for hub in range(count):
         own = first[hub_of[followed.point[first]] == hub]
         if report is not None:
@@ -260,12 +264,35 @@ def find_in_rig(
                     continue
                 names = followed.point[rows]
                 track = _found(
-                    cameras[0].sources[hub], cameras[c].sources[k], _View(hub_camera, at[c], surface),
+                    images_of(0, hub), images_of(c, k), _View(hub_camera, at[c], surface),
                     followed.pixels[rows], points[names], names, c * count + k, search,
                 )  # fmt: skip
                 if track is not None:
                     found.append(track)
     return joined(found) if found else None
+
+
+class _Held:
+    """Images of a rig, those of some captures held in memory: each is matched with several hubs."""
+
+    def __init__(self, cameras: Sequence[RigCamera]) -> None:
+        self._cameras, self._held = cameras, OrderedDict[tuple[int, int], ImageSource]()
+
+    def __call__(self, camera: int, capture: int) -> ImageSource:
+        """The image of a camera in a capture."""
+        key = camera, capture
+        if key not in self._held:
+            self._held[key] = _whole(self._cameras[camera].sources[capture])
+            while len(self._held) > (_SPAN + 1) * len(self._cameras):
+                self._held.popitem(last=False)
+        return self._held[key]
+
+
+def _whole(source: ImageSource) -> ImageSource:
+    """An image read at once."""
+    lines, columns = source.shape
+    window = (0, lines), (0, columns)
+    return ArrayImage(source.read(*window), source.mask(*window))
 
 
 def _seen_about(followed: Followed, first: RigCamera, capture: int) -> NDArray[np.intp]:
