@@ -99,3 +99,46 @@ def test_cameras_that_fire_one_after_the_other_are_refused_by_name(real_data, tm
     toml.write_text(f'frames = "{real_data("sentera_d4k_rig")}"\n{cameras}[surface]\nheight = 20.0\n')
     with pytest.raises(FormatError, match="nRGB and NDRE do not expose together"):
         load_sequence(toml)
+
+
+def test_colmap_reads_the_rig_and_its_captures(located):
+    pycolmap = pytest.importorskip("pycolmap")
+    _, result, _ = located
+    model = pycolmap.Reconstruction(str(result / "colmap"))
+    rigs = list(model.rigs.values())
+    assert len(rigs) == 1 and len(model.frames) == 6
+    # one image is missing, one saturated
+    assert len(model.images) == 16
+    found = read_columns(result / "rig.csv", OFFSETS)
+    turns = np.column_stack([np.asarray(found[name]) for name in OFFSETS[:3]])
+    poses = {k.id: np.asarray(p.rotation.quat) for k, p in rigs[0].non_ref_sensors.items()}
+    for camera in (2, 3):
+        # a rotation by the angle of rig.csv, whatever the axes
+        angle = 2.0 * np.arccos(min(abs(poses[camera][3]), 1.0))
+        assert abs(angle - np.linalg.norm(turns[camera - 1])) < 1e-6
+    errors = [point.error for point in model.points3D.values()]
+    assert np.median(errors) < 0.2  # px, as the residuals are
+
+
+def test_offsets_of_a_model_are_where_those_of_the_cameras_begin(located, tmp_path):
+    from sightline.io.sequence.load import load_sequence
+
+    flight, result, _ = located
+    text = (flight / "sequence.toml").read_text().replace('"frames.csv"', f'"{flight / "frames.csv"}"')
+    kept = [
+        line
+        for line in text.splitlines()
+        if not line.startswith(("positions", "attitudes", "position_bias", "attitude_bias", "orientation_"))
+    ]
+    table = (flight / "frames.csv").read_text().replace(",frames/", f",{flight / 'frames'}/")
+    (tmp_path / "frames.csv").write_text(table)
+    toml = "\n".join(kept).replace(str(flight / "frames.csv"), str(tmp_path / "frames.csv"))
+    found = read_columns(result / "rig.csv", OFFSETS)
+    turns = np.column_stack([np.asarray(found[name]) for name in OFFSETS[:3]])
+    for model in (result / "colmap", result / "reconstruction.json"):
+        (tmp_path / "again.toml").write_text(f'poses = "{model}"\n{toml}')
+        problem = load_sequence(tmp_path / "again.toml")
+        for camera in (1, 2):
+            given = problem.rig[camera].orientation.as_rotvec()
+            np.testing.assert_allclose(given, turns[camera], atol=1e-7)
+            assert problem.rig[camera].prior == "given by the model"

@@ -35,7 +35,10 @@ from sightline.writing import naming_file, scratch_folder, whole_text
 
 Columns = Mapping[str, ArrayLike]
 #: Of a model for COLMAP beside poses.
-MODEL_FILES = ("colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt", "colmap/origin.csv")
+MODEL_FILES = (
+    "colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt", "colmap/origin.csv", "colmap/rigs.txt",
+    "colmap/frames.txt",
+)  # fmt: skip
 #: Called with what is being done, in words; the progress of a command is one.
 Tell = Progress
 

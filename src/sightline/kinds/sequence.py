@@ -57,7 +57,8 @@ class Poses(ResultKind):
     table, index = "poses", ("frame",)
     files = (
         "poses.csv", "covariance.npz", "frames_used.csv", "colmap/*", "reconstruction.json", "opk.csv",
-        "ypr.csv", "geo.txt", "footprints.geojson", "rig.csv", "registered.tif", *_CUBE_FILES, SUMMARY,
+        "ypr.csv", "geo.txt", "footprints.geojson", "rig.csv", "rig_cameras.json",
+        "rig_assignments.json", "registered.tif", *_CUBE_FILES, SUMMARY,
         REPORT,
     )  # fmt: skip
     units = {

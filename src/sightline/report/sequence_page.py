@@ -55,6 +55,7 @@ def sequence_page(
         sections=[
             *_idle(problem, found, view),
             *([] if cube is None else _pictures(cube) + cube_sections(cube)),
+            *_rig(problem, found),
             *sections(problem, found, view),
             *_tables(problem, found, view, cube_seconds),
             *([inputs(summary)] if summary.get("inputs") else []),
@@ -78,6 +79,19 @@ def _idle(problem: SequenceProblem, found: SequencePoses, view: SequenceView) ->
     )
     table = _folding(words.IDLE_HEADS, rows, [0, 3], f"all {len(rows)} runs of frames")
     return [Section("not-estimated", "Frames that could not be estimated", [said, table])] if rows else []
+
+
+def _rig(problem: SequenceProblem, found: SequencePoses) -> list[Section]:
+    """Cameras of a rig; none where there is one camera."""
+    if found.rig is None:
+        return []
+    said = (
+        "How each camera is turned (about body axes) and where its lens lies (forward, right, down) against "
+        "the first, which is the body. What the images do not know better than what was given stays as it "
+        "was, with that sigma; the last column names it."
+    )
+    table = Table(words.RIG_HEADS, words.rig_rows(problem, found), [0, 9])
+    return [Section("rig", "Cameras of the rig", [said, table])]
 
 
 def _pictures(cube: CubeView) -> list[Section]:

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.rig import OFFSETS
 from sightline.photogrammetry.flight.table_check import table_fits
 from sightline.photogrammetry.flight.warnings import BENT_PX, bent_px, focal_verdict
 from sightline.report.sequence_view import PARAMETERS, UNITS, SequenceView
@@ -202,6 +203,34 @@ def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
             "control points would."
         )
     return " ".join(parts)
+
+
+RIG_HEADS = (
+    "camera", "roll (degrees)", "pitch", "yaw", "x (mm)", "y", "z", "focal length (px)", "residual (px)",
+    "held at what was given",
+)  # fmt: skip
+
+
+def rig_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
+    """A row per camera of a rig: offsets with sigmas, residual, what the images do not know."""
+    assert found.rig is not None
+    o, out = found.rig.offsets, []
+    values = np.column_stack([np.degrees(o.orientation.as_rotvec()), 1e3 * o.position])
+    sigmas = np.column_stack([np.degrees(o.sigma[:, :3]), 1e3 * o.sigma[:, 3:6]])
+    for c, camera in enumerate(problem.rig):
+        digit = [4, 4, 4, 1, 1, 1]
+        cells = [
+            f"{v:.{d}f} ± {s:.{d}f}" if c else "0"
+            for v, s, d in zip(values[c], sigmas[c], digit, strict=True)
+        ]
+        held = [
+            name
+            for name, seen, prior in zip(OFFSETS[:6], o.observed[c], o.prior_sigma[c], strict=False)
+            if c and not seen and prior > 0.0
+        ]
+        px = o.detector(c, camera.detector).focal_length_px
+        out.append([camera.name, *cells, f"{px:.6g}", f"{o.residual_px[c]:.3g}", ", ".join(held)])
+    return out
 
 
 def focal_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:

@@ -2,9 +2,10 @@
 
 COLMAP's pixels are (x, y) = (column, line) with 0 at the corner of the first pixel, so that half a pixel is
 added to ours; its poses are camera_from_world: a quaternion with the scalar first, and the world's origin in
-camera axes; camera axes are ours. Sightings of no point are written as such, and left out in reading. Cameras of
-a rig have ``rigs`` and ``frames`` beside these (COLMAP 3.12 and later): how each sits in the first, and one
-pose per capture; without them one image is one frame. Images hold their poses too, which is what is read.
+camera axes; camera axes are ours. Sightings of no point are written as such, and left out in reading.
+Cameras of a rig have ``rigs`` and ``frames`` beside these (COLMAP 3.12 and later): how each sits in the
+first, and one pose per capture; without them one image is one frame. Images hold their poses too, which is
+what is read.
 
 Not here: which poses and points of a result are written (``io/results/stereo_exports.py``,
 ``io/results/sequence_exports.py``).

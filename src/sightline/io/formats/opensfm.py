@@ -5,9 +5,9 @@ camera_from_world as a rotation vector, and the world's origin in camera axes; c
 in the image are parts of its larger side, from its middle; the centre of the first pixel has the pixel
 coordinate 0, as ours. Sightings are in other files of OpenSfM and not here.
 
-Of a rig ``rig_cameras`` (how each camera sits in the rig) and ``rig_instances`` (a pose per capture, and which
-shot is of which camera) stand beside them, and as ``rig_cameras.json`` and ``rig_assignments.json``, which
-OpenSfM begins with; shots hold their own poses too, which is what is read.
+Of a rig ``rig_cameras`` (how each camera sits in the rig) and ``rig_instances`` (a pose per capture, and
+which shot is of which camera) stand beside them, and as ``rig_cameras.json`` and ``rig_assignments.json``,
+which OpenSfM begins with; shots hold their own poses too, which is what is read.
 
 Not here: COLMAP models (``colmap.py``).
 """

@@ -30,10 +30,15 @@ def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
     return {
         "understood": _understood(sequence),
         "missing": _missing(sequence) + program_words(sequence),
-        "observable": _observable(problem) + map_words(sequence),
+        "observable": _observable(problem) + ([] if _one_capture(problem) else map_words(sequence)),
         "frames": len(problem),
         "usable": int(problem.usable.sum()),
     }
+
+
+def _one_capture(problem: SequenceProblem) -> bool:
+    """Whether it is a single capture of a rig, whose pose is not sought."""
+    return bool(problem.rig) and len(problem) == 1
 
 
 def frame_spacing(problem: SequenceProblem) -> tuple[Array, float]:
@@ -54,7 +59,7 @@ def _understood(sequence: FrameSequence) -> list[str]:
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
         epoch_words(problem.epoch),
         _focal_words(problem),
-        _filter_words(problem),
+        *(_rig_words(problem) if problem.rig else [_filter_words(problem)]),
     ]
     known = np.isfinite(problem.known.position).all(axis=1)
     if known.any():
@@ -84,6 +89,32 @@ def _understood(sequence: FrameSequence) -> list[str]:
     if problem.control is not None and problem.control_tracks is not None:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
     said += [f"note: {words}" for words in problem.warnings if words not in sequence.doubts]
+    return said
+
+
+def _rig_words(problem: SequenceProblem) -> list[str]:
+    """The cameras of a rig, and what is known of how they sit."""
+    first = problem.rig[0]
+    said = [
+        f"a rig of {len(problem.rig)} cameras, one pose per capture, that of the first, {first.name}: a "
+        "frame is a capture"
+    ]
+    for camera in problem.rig:
+        nm = ", ".join(f"{value:g} nm" for value in camera.channel_nm or (camera.wavelength_nm,))
+        lens, count = camera.detector, int(camera.usable.sum())
+        words = (
+            f"camera {camera.name}: {nm if 'nan' not in nm else 'all light'}, {lens.shape[0]} x "
+            f"{lens.shape[1]} px, focal length {lens.focal_length_px:.6g} px, {count} of {len(problem)} "
+            "images usable"
+        )
+        if camera is not first:
+            turn = ", ".join(f"{v:.3g}" for v in np.degrees(camera.orientation.as_rotvec()))
+            place = ", ".join(f"{1e3 * v:.3g}" for v in camera.position)
+            words += (
+                f"; turned by {turn} degrees to {np.degrees(camera.orientation_sigma):.2g} ({camera.prior}), "
+                f"at {place} mm to {1e3 * float(camera.position_sigma.max()):.2g} from the first"
+            )
+        said.append(words)
     return said
 
 
@@ -143,8 +174,13 @@ def _missing(sequence: FrameSequence) -> list[str]:
     said += [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
-    if problem.usable.sum() == 1:
+    for camera in problem.rig[1:]:
+        lacking = [(k, why) for k, why in enumerate(camera.excluded) if why]
+        said += [f"camera {camera.name}, {problem.frames[k]}: {why}" for k, why in lacking[:LISTED]]
+    if problem.usable.sum() == 1 and not problem.rig:
         said.append("frames: the pose of one alone is not observable; two or more that overlap are needed")
+    if _one_capture(problem):
+        return said
     if not np.isfinite(problem.known.attitude).any() and np.isfinite(problem.known.position).all(1).sum() < 3:
         said.append("positions of three frames or more: without attitudes they bring a model to the world")
     if not np.isfinite(problem.known.attitude).any():
@@ -167,6 +203,13 @@ def _missing(sequence: FrameSequence) -> list[str]:
 
 def _observable(problem: SequenceProblem) -> list[str]:
     said = ["place, size and direction of the whole: by " + _datum_words(problem)]
+    if problem.rig:
+        said.append(
+            "offsets of the cameras: angles from windows that the bands share; lever arms over ground with "
+            "relief alone, else as given"
+        )
+    if _one_capture(problem):
+        return [*said[1:], "bands laid on the first camera (registered.tif); the pose is that of the tables"]
     if problem.focal_length_sigma_px > 0.0:
         said.append(_focal_observable(problem))
     return said + overlap_words(problem)

@@ -32,6 +32,7 @@ from sightline.io.sequence.control import control_of, placed_by_control
 from sightline.io.sequence.frame_files import FrameFile
 from sightline.io.sequence.frames import FrameList, excluded, probe_frames, read_frames, shape_of
 from sightline.io.sequence.matched_rows import is_local, radii_of
+from sightline.io.sequence.models import model_attitudes
 from sightline.io.sequence.poses import check_places, starting_poses
 from sightline.io.sequence.positions import place_of
 from sightline.io.sequence.rigs import RigImages, read_rig, refuse_asynchronous, rig_camera
@@ -182,7 +183,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         control_tracks=tracks,
         radii=radii_of(file),
         epoch=frames.epoch,
-        rig=() if rig is None else _rig_cameras(rig, files, detector),
+        rig=() if rig is None else _rig_cameras(rig, files, detector, model_attitudes(file, files)),
         warnings=(
             *frames.warnings,
             *lens_words,
@@ -200,14 +201,19 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
     )  # fmt: skip
 
 
-def _rig_cameras(rig: RigImages, files: InputFolder, first: AreaDetector) -> tuple[RigCamera, ...]:
-    """All cameras of a rig; `first` is the detector of the first, with its name."""
+def _rig_cameras(
+    rig: RigImages,
+    files: InputFolder,
+    first: AreaDetector,
+    model: tuple[tuple[str, ...], Rotation] | None,
+) -> tuple[RigCamera, ...]:
+    """All cameras of a rig; `first` is the detector of the first, `model` attitudes by another program."""
     out = []
     for number, section in enumerate(rig.sections):
         frames, camera = rig.frames_of(number), section.as_camera()
         shape = camera.shape or shape_of(probe_frames(frames)) or first.shape
         detector, sigma, _ = sequence_detector(camera, files, frames, shape)
-        out.append(rig_camera(rig, number, detector, sigma))
+        out.append(rig_camera(rig, number, detector, sigma, model))
     return tuple(out)
 
 

@@ -115,6 +115,18 @@ def given_poses(
     return GivenPoses(path, positions, attitudes)
 
 
+def model_attitudes(file: SequenceFile, files: InputFolder) -> tuple[tuple[str, ...], Rotation] | None:
+    """Names and attitudes (axes of the file from the camera's) of all images of a COLMAP or OpenSfM model.
+
+    None where `poses` names none of these.
+    """
+    path = None if file.poses is None else files.path(file.poses)
+    if path is None or not (path.is_dir() or path.suffix == ".json"):
+        return None
+    model = read_colmap_model(path) if path.is_dir() else read_opensfm(path)[0]
+    return model.names, model.world_from_camera
+
+
 def _names_of_files(names: tuple[str, ...], frames: FrameList) -> tuple[str, ...]:
     """Names without the folders that other programs write before them."""
     known = {*frames.names, *(path.name for path in frames.files)}

@@ -295,7 +295,13 @@ def _time_of(path: Path, capture: str, rows: Sequence[_Image], start: str | None
     )
 
 
-def rig_camera(images: RigImages, camera: int, detector: AreaDetector, focal_sigma_px: float) -> RigCamera:
+def rig_camera(
+    images: RigImages,
+    camera: int,
+    detector: AreaDetector,
+    focal_sigma_px: float,
+    model: tuple[Sequence[str], Rotation] | None = None,
+) -> RigCamera:
     """One camera of a rig as an object.
 
     Parameters
@@ -305,6 +311,8 @@ def rig_camera(images: RigImages, camera: int, detector: AreaDetector, focal_sig
     detector : AreaDetector
     focal_sigma_px : float
         px; 1-sigma of its focal length.
+    model : (sequence of str, Rotation), optional
+        Names of images and world_from_camera of each, by another program.
     """
     section, frames = images.sections[camera], images.frames_of(camera)
     channels = len(section.channel_nm or ())
@@ -320,7 +328,7 @@ def rig_camera(images: RigImages, camera: int, detector: AreaDetector, focal_sig
                 reason = f"{found.bands} bands in place of the {channels} of channel_nm"
         reasons.append(reason)
     kind: int | str = "luminance" if bands - {1} else 1
-    orientation, sigma, prior = _orientation(images, camera, detector)
+    orientation, sigma, prior = _orientation(images, camera, detector, model)
     xmp = next((x for _, x in images.tags[camera] if x is not None), None)
     wavelength = section.wavelength_nm or (None if xmp is None else xmp.wavelength_nm)
     relative = focal_sigma_px / detector.focal_length_px
@@ -344,19 +352,32 @@ def rig_camera(images: RigImages, camera: int, detector: AreaDetector, focal_sig
     )
 
 
-def _orientation(images: RigImages, camera: int, detector: AreaDetector) -> tuple[Rotation, float, str]:
+def _orientation(
+    images: RigImages,
+    camera: int,
+    detector: AreaDetector,
+    model: tuple[Sequence[str], Rotation] | None,
+) -> tuple[Rotation, float, str]:
     """How a camera is turned against the first, its sigma, and who says so."""
     section = images.sections[camera]
     given = section.orientation_offset_sigma
     if section.orientation_offset is not None:
         sigma = RIG_ANGLE_SIGMA if given is None else given
         return Rotation.from_rotvec(section.orientation_offset), sigma, "given"
+    mount = images.sections[0].mounting
+    by_model = None if model is None or camera == 0 else _turn_in_model(images, camera, *model)
+    if by_model is not None:
+        turn = mount * by_model * section.mounting.inv()
+        return turn, _TAG_SIGMA if given is None else given, "given by the model"
     own, first = (next((x for _, x in images.tags[c] if x is not None), None) for c in (camera, 0))
     here, there = (None if x is None else x.rig_from_camera() for x in (own, first))
     if here is not None and there is not None:
         turn = there.inv() * here
-        mount, other = images.sections[0].mounting, section.mounting
-        return mount * turn * other.inv(), _TAG_SIGMA if given is None else given, "given by RigRelatives"
+        return (
+            mount * turn * section.mounting.inv(),
+            _TAG_SIGMA if given is None else given,
+            "given by RigRelatives",
+        )
     off = None if own is None else own.optical_centre_px
     if off is not None:
         zero = np.zeros(2) if first is None or first.optical_centre_px is None else first.optical_centre_px
@@ -366,7 +387,23 @@ def _orientation(images: RigImages, camera: int, detector: AreaDetector) -> tupl
         turn = Rotation.from_rotvec([line, -column, 0.0])
         mount = section.mounting
         return mount * turn * mount.inv(), sigma, "given by the optical centre"
-    return Rotation.identity(), RIG_ANGLE_SIGMA if given is None else given, "assumed (none is given)"
+    return Rotation.identity(), RIG_ANGLE_SIGMA if given is None else given, "assumed, as none is given"
+
+
+def _turn_in_model(
+    images: RigImages, camera: int, names: Sequence[str], world_from_camera: Rotation
+) -> Rotation | None:
+    """first_camera_from_camera by the poses of a model, mean of all captures; None where none has both."""
+    row = {name.replace("\\", "/").rsplit("/", 1)[-1]: k for k, name in enumerate(names)}
+    pairs = [
+        (row[one.name], row[other.name])
+        for one, other in zip(images.files[0], images.files[camera], strict=True)
+        if one is not None and other is not None and one.name in row and other.name in row
+    ]
+    if not pairs:
+        return None
+    first, here = (world_from_camera[[pair[k] for pair in pairs]] for k in (0, 1))
+    return (first.inv() * here).mean()
 
 
 def refuse_asynchronous(images: RigImages) -> None:
