@@ -13,6 +13,7 @@ from sightline.version import VERSION as __version__  # noqa: F401
 
 if TYPE_CHECKING:
     from sightline.access import allow_network
+    from sightline.applications.batch import Batch
     from sightline.applications.detector_noise import DetectorNoise
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
@@ -95,6 +96,7 @@ _MODULE_OF = {
     "ArrayImage": "sightline.imaging.source",
     "Band": "sightline.motion.band",
     "BandMatches": "sightline.applications.raster_matches",
+    "Batch": "sightline.applications.batch",
     "Camera": "sightline.geometry.camera",
     "ChipKnowledge": "sightline.motion.band",
     "ChoiceRules": "sightline.tdi.setting",
@@ -202,6 +204,7 @@ __all__ = [
     "ArrayImage",
     "Band",
     "BandMatches",
+    "Batch",
     "Camera",
     "ChipKnowledge",
     "ChoiceRules",

@@ -1,8 +1,12 @@
-"""Where work runs: one process, its threads, several processes, or a dask cluster.
+"""Where work runs: in this process, in several, or on a dask cluster; and on how many threads.
 
-All give bitwise the same results: they come in the order of the items, every caller reduces them in that
-order, work is cut into items by its size, never by the number of workers, and linear algebra runs on one
-thread (`one_blas_thread`).
+All give bitwise the same results: they come in the order of the items or by their number, every caller
+reduces them in that order, work is cut into items by its size, never by the number of workers, and linear
+algebra runs on one thread (`one_blas_thread`).
+
+Items of an `Executor` are whole runs of a command, or what a script has of its own. Inside a run work is
+shared by threads (`in_threads`): its arrays are large and its steps short, so that sending them to other
+processes takes longer than the steps do.
 
 This file does not cut work into items: each caller knows its own.
 """
@@ -11,12 +15,15 @@ from __future__ import annotations
 
 import os
 import re
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from functools import cache, wraps
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache, partial, wraps
 from math import ceil, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
@@ -24,7 +31,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 from sightline.errors import InputError, SightlineError
 
 if TYPE_CHECKING:
-    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing.connection import Connection
+    from types import FrameType
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -32,18 +40,87 @@ Arguments = ParamSpec("Arguments")
 
 # Items submitted and not yet consumed, per worker: enough to keep all busy, few enough to bound memory.
 _IN_FLIGHT_PER_WORKER = 3
+#: How often an item is begun at most whose worker ends without an answer: of many that are stopped at random
+#: all get through, and one that takes its worker's memory does not come back forever.
+TRIES = 10
+#: s that a worker has to tidy up in when it is asked to end, and between looks at a cluster.
+_TIDIES, _LOOKS = 60.0, 1.0
+#: s within which a scheduler answers.
+_CONNECTS = 10.0
 
 #: What libraries of linear algebra read when they are loaded; more particular than OMP_NUM_THREADS.
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
-# Of a number of threads that is read at all: Python refuses thousands of them.
+# Of a number of threads or workers that is read at all: Python refuses thousands of them.
 _DIGITS = 9
+#: Workers that may be asked for.
+_MOST_WORKERS = 10_000
 # What the system says of this process.
 _PROC = Path("/proc/self")
 
 
+@dataclass(frozen=True)
+class Workers:
+    """What ``--workers`` says.
+
+    Attributes
+    ----------
+    kind : str
+        ``"here"``, ``"process"`` or ``"dask"``.
+    count : int or None
+        Threads or processes; None: not said.
+    address : str
+        Of a dask scheduler, or ``"local"``; "" of the others.
+    """
+
+    kind: str
+    count: int | None = None
+    address: str = ""
+
+    @classmethod
+    def read(cls, text: str) -> Workers:
+        """What a word stands for: ``N``, ``process``, ``process:N``, ``dask:ADDRESS``, ``dask:local``.
+
+        Raises
+        ------
+        InputError
+            If it is none of these.
+        """
+        kind, colon, rest = text.strip().partition(":")
+        if not colon and (kind == "serial" or re.fullmatch(r"[+-]?\d+", kind)):
+            return cls("here", 1 if kind == "serial" else _count(kind, text))
+        if kind == "process" and (rest or not colon):
+            return cls("process", _count(rest, text) if rest else None)
+        if kind == "dask" and rest:
+            return cls("dask", None, rest)
+        said = {
+            "dask": "lacks the address of a scheduler",
+            "process": "lacks a number of processes",
+        }.get(kind, "is not known")
+        raise InputError(f"`workers` = {text!r} {said}; {_ALLOWED}")
+
+
+_ALLOWED = "allowed are N, process:N, dask:ADDRESS (as dask:tcp://10.0.0.5:8786) and dask:local, N from 1 on"
+
+
+def _count(word: str, text: str) -> int:
+    """A number of workers."""
+    digits = word.lstrip("+").lstrip("0") or "0"
+    number = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= _DIGITS else 0
+    if not 1 <= number <= _MOST_WORKERS:
+        raise InputError(
+            f"`workers` = {text!r}: {word} is no whole number from 1 to {_MOST_WORKERS}; {_ALLOWED}"
+        )
+    return number
+
+
 class Executor(Protocol):
-    """Something that applies a function to many items and returns the results in order."""
+    """Something that applies a function to many items.
+
+    A function and its items must be picklable unless the executor is serial: a function defined at the top of
+    a module, or a `functools.partial` of one. A worker has one item at a time. An item whose worker ends
+    without an answer (it was stopped, or memory ran out) is begun again on another one, ten times at most.
+    """
 
     @property
     def workers(self) -> int:
@@ -53,13 +130,39 @@ class Executor(Protocol):
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Results of ``function(item)``, in the order of the items.
 
-        `function` and each item must be picklable unless the executor is serial: a function defined at the
-        top of a module, or a `functools.partial` of one. The first failing item raises its exception.
+        The first failing item raises its exception; SightlineError where workers end again and again.
+        """
+        ...
+
+    def completed(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        *,
+        lost: Callable[[Item, str], Result],
+        begun: Callable[[int], None] = ...,
+    ) -> Iterator[tuple[int, Result]]:
+        """Number and result of each item, as they are done.
+
+        Parameters
+        ----------
+        function : callable
+        items : sequence
+        lost : callable
+            Gives the result of an item whose workers ended again and again, from it and the reason.
+        begun : callable, optional
+            Called with the number of an item that is given to a worker.
+
+        Raises
+        ------
+        Exception
+            That of the first item that raises one; SightlineError where all workers are gone, as when the
+            scheduler of a cluster ends.
         """
         ...
 
     def close(self) -> None:
-        """Release processes and connections; the executor starts them anew if it is used again."""
+        """End or release the workers; they are started anew if the executor is used again."""
         ...
 
     def __enter__(self) -> Self:
@@ -69,6 +172,18 @@ class Executor(Protocol):
     def __exit__(self, *exc: object) -> None:
         """Close."""
         ...
+
+
+class _LostError(Exception):
+    """A worker ended without an answer; the message says how. Not seen outside this file."""
+
+    def __init__(self, how: str, tries: int = 1) -> None:
+        super().__init__(how)
+        self.tries = tries
+
+
+def _unsaid(number: int) -> None:
+    """Items that nobody counts."""
 
 
 class _Closing:
@@ -96,70 +211,261 @@ class SerialExecutor(_Closing):
         """Results in order, each computed when it is asked for."""
         return (function(item) for item in items)
 
+    def completed(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        *,
+        lost: Callable[[Item, str], Result],
+        begun: Callable[[int], None] = _unsaid,
+    ) -> Iterator[tuple[int, Result]]:
+        """Results in order; nothing is lost but with the process itself."""
+        for number, item in enumerate(items):
+            begun(number)
+            yield number, function(item)
 
-class ProcessExecutor(_Closing):
-    """Several fresh processes of this machine, started at the first `map` and kept until `close`.
+
+class _Submitting(_Closing):
+    """What executors with workers share: items submitted, and submitted again where a worker was lost."""
+
+    @property
+    def workers(self) -> int:
+        """How many items are worked on at the same time."""
+        raise NotImplementedError
+
+    def _submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
+        """The item given to a worker, whose end without an answer is a `_LostError`."""
+        raise NotImplementedError
+
+    def _look(self) -> None:
+        """Raise where no answer will come any more."""
+
+    def _answer(self, future: Future[Result]) -> Result:
+        """An answer, once it is there."""
+        while not wait([future], timeout=_LOOKS).done:
+            self._look()
+        return future.result()
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Results in order; at most a few items per worker are under way or waiting to be consumed."""
+        waiting: deque[tuple[Future[Result], Item]] = deque()
+        most = _IN_FLIGHT_PER_WORKER * self.workers
+
+        def first() -> Result:
+            future, item = waiting.popleft()
+            tries = 0
+            while True:
+                try:
+                    return self._answer(future)
+                except _LostError as error:
+                    tries += error.tries
+                    if tries >= TRIES:
+                        raise SightlineError(
+                            f"{tries} times a worker ended without an answer: {error}; most often memory ran "
+                            "out: use fewer workers, or `serial`"
+                        ) from error
+                    future = self._submit(function, item)
+
+        try:
+            for item in items:
+                waiting.append((self._submit(function, item), item))
+                if len(waiting) >= most:
+                    yield first()
+            while waiting:
+                yield first()
+        finally:
+            for future, _ in waiting:
+                future.cancel()
+
+    def completed(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        *,
+        lost: Callable[[Item, str], Result],
+        begun: Callable[[int], None] = _unsaid,
+    ) -> Iterator[tuple[int, Result]]:
+        """Results as they come; no more items are under way than there are workers."""
+        queue, tries = deque(range(len(items))), dict.fromkeys(range(len(items)), 0)
+        running: dict[Future[Result], int] = {}
+        try:
+            while queue or running:
+                while queue and len(running) < self.workers:
+                    number = queue.popleft()
+                    running[self._submit(function, items[number])] = number
+                    begun(number)
+                done = wait(running, timeout=_LOOKS, return_when=FIRST_COMPLETED).done
+                self._look()
+                for future in done:
+                    number = running.pop(future)
+                    try:
+                        yield number, future.result()
+                    except _LostError as error:
+                        tries[number] += error.tries
+                        if tries[number] < TRIES:
+                            queue.append(number)
+                        else:
+                            yield number, lost(items[number], f"{tries[number]} times {error}")
+        finally:
+            for future in running:
+                future.cancel()
+
+
+class ProcessExecutor(_Submitting):
+    """Several fresh processes of this machine, started when they are first needed and kept until `close`.
 
     Processes are spawned, not forked, so that threads and compiled code of the parent are never copied
-    half-way. A script that uses this at its top level therefore needs ``if __name__ == "__main__":``.
+    half-way. A script that uses this at its top level therefore needs ``if __name__ == "__main__":``. Each
+    has its share of the processors for threads of its own.
     """
 
-    def __init__(self, workers: int) -> None:
-        """Keep the number of processes; start none yet."""
-        self._workers = _checked_workers(workers)
-        self._pool: ProcessPoolExecutor | None = None
+    def __init__(self, workers: int, threads: int | None = None) -> None:
+        """Keep the numbers of processes, and of threads in each (None: its share); start none yet."""
+        if workers < 1:
+            raise InputError(f"`workers` must be 1 or more, got {workers}")
+        self._workers = int(workers)
+        self._threads = max(1, available_processors() // self._workers) if threads is None else threads
+        self._hands: ThreadPoolExecutor | None = None
+        self._free: deque[_Process] = deque()
+        self._all: set[_Process] = set()
+        self._closing = False
 
     @property
     def workers(self) -> int:
         """Number of processes."""
         return self._workers
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Results in order; at most a few items per process are under way or waiting to be consumed."""
-        from concurrent.futures import ProcessPoolExecutor
-        from concurrent.futures.process import BrokenProcessPool
-        from multiprocessing import get_context
+    def _submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
+        if self._hands is None:
+            # a thread for each process, which hands it an item and waits for the answer
+            self._hands = ThreadPoolExecutor(self._workers)
+        return self._hands.submit(self._asked, function, item)
 
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                self._workers, mp_context=get_context("spawn"), initializer=_limit_blas_of_this_process
-            )
+    def _asked(self, function: Callable[[Item], Result], item: Item) -> Result:
+        """The answer of a process that is free; no more items are asked at once than there are."""
+        if self._closing:
+            raise _LostError("the run was ended")
         try:
-            yield from _in_order(self._pool.submit, function, items, self._workers)
-        except BrokenProcessPool as error:
-            self.close()
-            raise SightlineError(
-                f"a worker process ended without an answer: one of {self._workers} workers was stopped, most "
-                "often because memory ran out; use fewer workers, or `serial`"
-            ) from error
+            worker = self._free.popleft()
+        except IndexError:
+            worker = _Process(self._threads)
+            self._all.add(worker)
+        try:
+            good, answer = worker.ask(function, item)
+        except (EOFError, OSError) as error:
+            self._all.discard(worker)
+            raise _LostError(f"a worker process ended without an answer ({worker.ended()})") from error
+        self._free.append(worker)
+        if not good:
+            raise answer
+        return answer
 
     def close(self) -> None:
-        """End the processes."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
+        """End the processes; one that has an item under way is asked to leave nothing half-done."""
+        self._closing = True
+        for worker in list(self._all):
+            worker.end()
+        if self._hands is not None:
+            self._hands.shutdown(wait=True, cancel_futures=True)
+            self._hands = None
+        for worker in list(self._all):
+            worker.end()
+            worker.ended()
+        self._free.clear()
+        self._all.clear()
+        self._closing = False
 
 
-class DaskExecutor(_Closing):
-    """The workers of a running dask cluster, reached by the address of its scheduler."""
+class _Process:
+    """One process of a `ProcessExecutor`."""
+
+    def __init__(self, threads: int) -> None:
+        from multiprocessing import get_context
+
+        context = get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, threads), daemon=True)
+        self._process.start()
+        theirs.close()  # so that its end is seen here
+
+    def ask(self, function: Callable[[Item], Result], item: Item) -> tuple[bool, Any]:
+        """Whether an item went well, and its result or exception; EOFError or OSError if the process ends."""
+        self._connection.send((function, item))
+        answer: tuple[bool, Any] = self._connection.recv()
+        return answer
+
+    def end(self) -> None:
+        """Ask it to end."""
+        with suppress(OSError, ValueError):
+            self._process.terminate()
+
+    def ended(self) -> str:
+        """How it ended, in words, once it has."""
+        self._process.join(_TIDIES)
+        if self._process.exitcode is None:
+            self._process.kill()
+            self._process.join()
+        code = self._process.exitcode or 0
+        self._connection.close()
+        if code >= 0:
+            return f"exit status {code}"
+        with suppress(ValueError):
+            return f"stopped by {signal.Signals(-code).name}"
+        return f"stopped by signal {-code}"
+
+
+def _serve(connection: Connection[Any, Any], threads: int) -> None:
+    """What a process of a `ProcessExecutor` does: items one after the other, until nobody asks any more."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    # Ctrl-C reaches every process of the terminal: who started this one decides, and asks by SIGTERM
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, stop)
+    for variable in ("OMP_NUM_THREADS", *BLAS_THREADS):
+        os.environ[variable] = "1"
+    with suppress(EOFError, OSError, KeyboardInterrupt), threads_limited(threads):
+        while True:
+            function, item = connection.recv()
+            try:
+                answer = True, _with_one_blas_thread(function, item)
+            except Exception as error:
+                answer = False, error
+            try:
+                connection.send(answer)
+            except (TypeError, AttributeError, ValueError) as error:  # what cannot be pickled
+                connection.send((False, SightlineError(f"an answer cannot be sent: {error}")))
+
+
+class DaskExecutor(_Submitting):
+    """The workers of a dask cluster: of a running one, by the address of its scheduler, or of this machine.
+
+    A worker has one item at a time, with as many threads as dask has given it.
+    """
 
     def __init__(self, address: str) -> None:
-        """Keep the address; connect at first use."""
+        """Keep the address, or ``"local"`` for a cluster of this machine; connect at first use."""
         self._address = address
         self._connected: Any = None
+        self._cluster: Any = None
 
     def _client(self) -> Any:
         if self._connected is None:
             try:
-                from distributed import Client
+                from distributed import Client, LocalCluster
             except ImportError as error:
                 raise InputError(
                     "the executor `dask` needs the package `distributed`, which is not installed; run "
                     "`pip install dask distributed`, or use `process`"
                 ) from error
             try:
-                self._connected = Client(self._address)
-            except (OSError, ValueError) as error:
+                if self._address == "local":
+                    self._cluster = LocalCluster(
+                        n_workers=available_processors(), threads_per_worker=1, dashboard_address=None
+                    )
+                self._connected = Client(self._cluster or self._address, timeout=_CONNECTS)
+            except (OSError, ValueError, ImportError) as error:
                 raise InputError(
                     f"no dask scheduler answered at {self._address!r}: {error}; give the address printed by "
                     "the scheduler, for example dask:tcp://10.0.0.5:8786"
@@ -168,23 +474,61 @@ class DaskExecutor(_Closing):
 
     @property
     def workers(self) -> int:
-        """Threads of all workers of the cluster, as it is now."""
-        return max(1, sum(self._client().nthreads().values()))
+        """Workers of the cluster, as it is now; 1 where it waits for the first."""
+        return max(1, len(self._client().nthreads()))
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Results in order; at most a few items per worker thread are under way or waiting to be consumed."""
-        client = self._client()
+    def _submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
+        ours: Future[Result] = Future()
+        theirs = self._client().submit(partial(_on_worker, function), item, pure=False)
 
-        def submit(function: Callable[[Item], Result], item: Item) -> Any:
-            return client.submit(function, item, pure=False)
+        def told(done: Any) -> None:
+            from distributed import KilledWorker
 
-        return _in_order(submit, function, items, self.workers)
+            # what was cancelled is no answer: `_look` finds out whether the scheduler is there
+            if done.status not in ("finished", "error") or ours.cancelled():
+                return
+            try:
+                ours.set_result(done.result())
+            except KilledWorker as error:
+                how = "a worker of the cluster ended without an answer"
+                ours.set_exception(_LostError(how, getattr(error, "allowed_failures", 0) + 1))
+            except Exception as error:
+                ours.set_exception(error)
+
+        theirs.add_done_callback(told)
+        return ours
+
+    def _look(self) -> None:
+        if self._connected is not None and self._connected.status != "running":
+            raise SightlineError(
+                f"the dask scheduler at {self._address!r} does not answer any more; what is finished is "
+                "kept: start a scheduler and run the same command again with --resume"
+            )
 
     def close(self) -> None:
-        """Leave the cluster; its workers stay."""
-        if self._connected is not None:
-            self._connected.close()
-            self._connected = None
+        """Leave the cluster, whose workers stay; one that was started here ends."""
+        connected, self._connected = self._connected, None
+        cluster, self._cluster = self._cluster, None
+        for one in (connected, cluster):
+            if one is not None:
+                with suppress(OSError, TimeoutError):
+                    one.close()
+
+
+#: A worker of a cluster may have several threads, and an item has all of them.
+_one_item = threading.Lock()
+
+
+def _on_worker(function: Callable[[Item], Result], item: Item) -> Result:
+    """An item on a worker of a dask cluster."""
+    from distributed import get_worker
+
+    with _one_item, threads_limited(get_worker().state.nthreads):
+        return _with_one_blas_thread(function, item)
+
+
+def _with_one_blas_thread(function: Callable[[Item], Result], item: Item) -> Result:
+    return one_blas_thread(function)(item)
 
 
 def serial() -> SerialExecutor:
@@ -204,39 +548,29 @@ def process(workers: int | None = None) -> ProcessExecutor:
 
 
 def dask(address: str) -> DaskExecutor:
-    """Executor on a running dask cluster, for example ``tcp://10.0.0.5:8786``."""
+    """Executor on a running dask cluster (``tcp://10.0.0.5:8786``), or a ``local`` one of its own."""
     return DaskExecutor(address)
 
 
-def executor_from_name(name: str, workers: int | None = None) -> Executor:
-    """Executor named as on the command line.
+def executor_from_name(name: str) -> Executor:
+    """Executor named as by ``--workers``.
 
     Parameters
     ----------
     name
-        ``serial``, ``process`` or ``dask:ADDRESS`` (the address of a dask scheduler).
-    workers
-        Number of processes for ``process``; None takes every processor this process may use.
+        ``N`` or ``process:N``: so many processes (``1`` and ``serial``: this one; ``process``: one for every
+        processor that this process may use); ``dask:ADDRESS``: the workers of the cluster whose scheduler has
+        this address; ``dask:local``: a cluster of this machine.
 
     Raises
     ------
     InputError
-        If the name is none of these, or `workers` is given where it has no meaning.
+        If the name is none of these.
     """
-    if name == "process":
-        return process(workers)
-    if name == "serial":
-        if workers not in (None, 1):
-            raise InputError(f"`workers` = {workers} with the executor serial, which has one; use `process`")
-        return serial()
-    kind, _, address = name.partition(":")
-    if kind == "dask" and address:
-        if workers is not None:
-            raise InputError(
-                f"`workers` = {workers} with a dask cluster, which knows its own workers; leave it out"
-            )
-        return dask(address)
-    raise InputError(f"unknown executor {name!r}; allowed are serial, process and dask:ADDRESS")
+    asked = Workers.read(name)
+    if asked.kind == "dask":
+        return dask(asked.address)
+    return serial() if asked == Workers("here", 1) else process(asked.count)
 
 
 def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -415,6 +749,32 @@ def _unescaped(word: str) -> str:
     return re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), word)
 
 
+#: Most threads at a time, where a number was given; it holds for the whole process, innermost last.
+_threads: list[int] = []
+
+
+@contextmanager
+def threads_limited(count: int | None) -> Iterator[None]:
+    """So many threads for what this process does in the block; None: as before."""
+    before = list(_threads)
+    give_threads(count)
+    try:
+        yield
+    finally:
+        _threads[:] = before
+
+
+def give_threads(count: int | None) -> None:
+    """So many threads from now on, whatever processors there are; None changes nothing."""
+    if count is not None:
+        _threads.append(count)
+
+
+def thread_count() -> int:
+    """Threads that work is shared by: as many as were given, else as processors that may be used."""
+    return _threads[-1] if _threads else available_processors()
+
+
 def in_threads(
     function: Callable[[Item], Result],
     items: Iterable[Item],
@@ -433,12 +793,12 @@ def in_threads(
     items
         All of them are taken at once.
     threads
-        Most threads at a time; None takes the number of processors this process may use.
+        Most threads at a time; None takes `thread_count`.
     step
         Called with the number of items that are done, and of all.
     """
     jobs = list(items)
-    count = min(available_processors() if threads is None else threads, len(jobs))
+    count = min(thread_count() if threads is None else threads, len(jobs))
     if count <= 1:
         return [function(job) for job in stepped(jobs, step)]
     with ThreadPoolExecutor(count) as pool:
@@ -447,38 +807,3 @@ def in_threads(
             found.append(result)
             step(len(found), len(jobs))
         return found
-
-
-def _limit_blas_of_this_process() -> None:
-    """One thread for the linear algebra of a fresh process, whether numpy is loaded yet or not."""
-    from threadpoolctl import threadpool_limits
-
-    for variable in ("OMP_NUM_THREADS", *BLAS_THREADS):
-        os.environ[variable] = "1"
-    threadpool_limits(limits=1, user_api="blas")
-
-
-def _checked_workers(workers: int) -> int:
-    if workers < 1:
-        raise InputError(f"`workers` must be 1 or more, got {workers}")
-    return int(workers)
-
-
-def _in_order(
-    submit: Callable[..., Any],
-    function: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int,
-) -> Iterator[Result]:
-    """Results of submitted items in order, with a bounded number under way."""
-    waiting: deque[Any] = deque()
-    try:
-        for item in items:
-            waiting.append(submit(function, item))
-            if len(waiting) >= _IN_FLIGHT_PER_WORKER * workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        for future in waiting:
-            future.cancel()

@@ -58,6 +58,10 @@ class Inputs:
         """The first file that is not what it was."""
         return next((p for p, stamp in self._stamps.items() if not stamp.same(_Stamp.of(p))), None)
 
+    def stamps(self) -> dict[str, list[int]]:
+        """Size and time (ns) of each file by its whole path, as they were when it was met; -1 of none."""
+        return {os.path.abspath(path): [stamp.size, stamp.mtime_ns] for path, stamp in self._stamps.items()}
+
     def places(self) -> frozenset[str]:
         """Real paths of all files."""
         return frozenset(os.path.realpath(path) for path in self._stamps)
@@ -75,6 +79,25 @@ def noted(own: Path) -> Iterator[Inputs]:
         yield seen
     finally:
         _watching.remove(seen)
+
+
+@contextmanager
+def apart(own: Path) -> Iterator[Inputs]:
+    """As `noted`, of a run within another one, which does not take these files for its own."""
+    around, _watching[:] = list(_watching), []
+    try:
+        with noted(own) as seen:
+            yield seen
+    finally:
+        _watching[:] = around
+
+
+def unchanged(stamps: dict[str, list[int]]) -> bool:
+    """Whether files still have the size and time that `Inputs.stamps` kept of them."""
+    return all(
+        [now.size, now.mtime_ns] == stamp
+        for now, stamp in ((_Stamp.of(Path(p)), s) for p, s in stamps.items())
+    )
 
 
 def note(path: Path) -> None:

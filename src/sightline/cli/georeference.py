@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume, Workers
 
 if TYPE_CHECKING:
     from sightline.applications.sequence_poses import SequencePoses
@@ -53,6 +53,7 @@ def georeference(
     poses_only: Annotated[
         bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever the file asks for.")
     ] = False,
+    workers: Workers = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
     as_json: Json = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Overwrite, Workers
 
 if TYPE_CHECKING:
     from sightline.applications.focal_plane import LayoutChoice
@@ -31,6 +31,7 @@ def layout(
         int,
         typer.Option("--count", min=1, max=1000, help="Best layouts listed, besides those that stand out."),
     ] = 10,
+    workers: Workers = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,

@@ -21,6 +21,7 @@ import typer
 
 from sightline.access import shut_network
 from sightline.cli import (
+    batch,
     check,
     demo,
     export,
@@ -40,10 +41,11 @@ from sightline.cli import (
     version,
     warm_up,
 )
+from sightline.cli.jobs import elsewhere
 from sightline.cli.options import examples
 from sightline.cli.terminal import complain, warnings_as_messages
 from sightline.errors import EstimationError, GeometryError, InputError, SightlineError
-from sightline.execution import BLAS_THREADS
+from sightline.execution import BLAS_THREADS, threads_limited
 from sightline.output.folder import Interrupted, published
 from sightline.writing import creation_date
 
@@ -98,6 +100,7 @@ app.command("tdi", epilog=examples("tdi"))(tdi.tdi)
 app.command("noise", epilog=examples("noise"))(noise.noise)
 app.command("match", epilog=examples("match"))(match.match)
 app.command("tie", epilog=examples("tie"))(tie.tie)
+app.command("batch", epilog=examples("batch"))(batch.batch)
 app.command("score", epilog=examples("score"))(score.score)
 app.command("check", epilog=examples("check"))(check.check)
 app.command("schema", epilog=examples("schema"))(schema.schema)
@@ -158,7 +161,10 @@ def run(words: list[str], *, debug: bool = False) -> int:
     try:
         _check_environment()
         _check_words(words)
-        with warnings_as_messages():
+        status = elsewhere(words, debug=debug)
+        if status is not None:
+            return status
+        with warnings_as_messages(), threads_limited(None):
             # what a command lets be opened ends with it
             status = copy_context().run(app, words, prog_name="sightline", standalone_mode=False)
         if status == INTERRUPTED:  # typer's word for an interruption inside a command
@@ -169,11 +175,13 @@ def run(words: list[str], *, debug: bool = False) -> int:
     except SystemExit:  # what click makes of a pipe that nobody reads any more, with a status of 1
         return UNREAD
     except Interrupted as kept:
-        return _interrupted(f"; {kept}")
+        return _interrupted(str(kept))
     except (typer.Abort, KeyboardInterrupt) as stopped:
         if isinstance(stopped.__cause__, EOFError):  # of a file, which typer takes for Ctrl-D
             return _failed(stopped.__cause__, debug)
-        return _interrupted("")
+        return _interrupted(
+            f"the result is complete: {published[-1]}" if published else "no result was written"
+        )
     except Exception as error:
         return _failed(error, debug)
     return status if isinstance(status, int) else 0
@@ -205,12 +213,11 @@ def _failed(error: Exception, debug: bool) -> int:
     """Exit status of a command that failed, once what failed was said; its traceback with `debug`."""
     if debug:
         raise error
-    return _status_of(error)
+    return status_of(error)
 
 
-def _interrupted(kept: str) -> int:
+def _interrupted(left: str) -> int:
     """Say that the command was stopped, by what, and what is left of it; give the exit status of that."""
-    left = f"the result is complete: {published[-1]}" if published else f"no result was written{kept}"
     by, status = "interrupted", INTERRUPTED
     if _ended_by:
         number = _ended_by[0]
@@ -232,7 +239,7 @@ def _say_usage(error: Any) -> None:
         complain("error", f"{said}; see: {command} --help")
 
 
-def _status_of(error: Exception) -> int:
+def status_of(error: Exception) -> int:
     """Say what went wrong on stderr and give the exit status that belongs to it."""
     if isinstance(error, SightlineError):
         complain("error", str(error))

@@ -71,6 +71,10 @@ EXAMPLES = {
         "match scene.tif --bands all --out shifts",
     ),
     "tie": ("tie strip.toml --reference ortho.tif --dem dem.tif --out tied",),
+    "batch": (
+        "batch strips/*.toml --out results --workers 8",
+        "batch @today.txt --out results --workers dask:tcp://10.0.0.5:8786 --resume",
+    ),
     "schema": ("schema acquisition",),
     "version": ("version",),
     "warm-up": ("warm-up",),
@@ -115,6 +119,27 @@ Resume = Annotated[
         "--resume",
         help="Go on from the finished stages of a run that was stopped, also with --overwrite, which "
         "alone begins anew.",
+    ),
+]
+
+
+def _use_threads(word: str | None) -> str | None:
+    """So many threads until the command ends; one that asks for another process was sent there before."""
+    if word is not None:
+        from sightline.execution import Workers, give_threads
+
+        give_threads(Workers.read(word).count)
+    return word
+
+
+Workers = Annotated[
+    str | None,
+    typer.Option(
+        "--workers",
+        metavar="N|process:N|dask:ADDRESS|dask:local",
+        help="N: so many threads; process:N: in a process of its own, with so many; dask: on a worker of a "
+        "cluster. One that is stopped is replaced. The result is the same, bit for bit.",
+        callback=_use_threads,
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
 from sightline.execution import Progress, Step, no_step, steps_of
 from sightline.geometry.units import ARCSEC
 
@@ -54,6 +54,7 @@ def orient(
             "--predict", help="Give the bound of what could be found, before anything is flown or matched."
         ),
     ] = False,
+    workers: Workers = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume, Workers
 from sightline.execution import Progress
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def recover(
             "agree.",
         ),
     ] = None,
+    workers: Workers = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
     as_json: Json = False,

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
 from sightline.execution import Progress
 
 
@@ -42,6 +42,7 @@ def register(
         typer.Option("--type", help="Type of the pixels written; that of the images if not given."),
     ] = None,
     stack: Annotated[bool, typer.Option("--stack", help="One file of all bands, not one for each.")] = False,
+    workers: Workers = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
 from sightline.execution import Progress
 
 
@@ -37,6 +37,7 @@ def tdi(
             help="Image a target with the choice and with one setting for all (not under --motion)."
         ),
     ] = True,
+    workers: Workers = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,

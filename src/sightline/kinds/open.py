@@ -10,6 +10,7 @@ from typing import Any
 
 from sightline.errors import FormatError
 from sightline.io.results.hidden import read_summary
+from sightline.kinds.batch import Batches
 from sightline.kinds.kind import NAMED, SUMMARY, ResultKind
 from sightline.kinds.layouts import Layouts
 from sightline.kinds.matching import BandShifts, Shifts
@@ -26,7 +27,7 @@ from sightline.result import Result
 #: Every kind.
 KINDS: tuple[ResultKind, ...] = (
     Recovery(), Registered(), Picture(), Layouts(), Orientation(), Prediction(), Choice(), Poses(), Cube(),
-    Noise(), Shifts(), BandShifts(), ReferenceTies(), Scoring(),
+    Noise(), Shifts(), BandShifts(), ReferenceTies(), Scoring(), Batches(),
 )  # fmt: skip
 _OF_TYPE: dict[type[Result], ResultKind] = {one: kind for kind in KINDS for one in kind.types}
 _OF_NAME: dict[str, type[Result]] = {one.__name__: one for one in _OF_TYPE}
@@ -44,8 +45,8 @@ def open_result(folder: str | Path) -> Result:
     Parameters
     ----------
     folder : str or Path
-        Of `recover`, `register`, `layout`, `orient`, `tdi`, `georeference`, `noise`, `match` or
-        `tie`.
+        Of `recover`, `register`, `layout`, `orient`, `tdi`, `georeference`, `noise`, `match`,
+        `tie` or `batch`.
 
     Returns
     -------

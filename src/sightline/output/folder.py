@@ -156,7 +156,8 @@ def _stages(folder: Path, resume: bool | None, note: Note, *, overwrite: bool) -
         corrected = f"finished stages wait in {place}; a corrected run goes on from those it has in common"
         if folder not in published:
             if isinstance(error, KeyboardInterrupt):
-                raise Interrupted(kept if place.is_dir() else "no stage was finished") from error
+                left = kept if place.is_dir() else "no stage was finished"
+                raise Interrupted(f"no result was written; {left}") from error
             if place.is_dir():
                 note(corrected if isinstance(error, SightlineError) else kept)
         raise

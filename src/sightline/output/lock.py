@@ -27,6 +27,8 @@ from sightline.errors import InputError
 
 #: In the folder that a run writes, while it runs.
 LOCK = ".sightline.lock"
+#: What the refusal of a folder with a run in it says.
+HELD = "is being written by another run"
 #: What systems say that know no locks, or not on this file system.
 _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL}
 #: Bytes of a lock that are read; characters of a command that are shown.
@@ -232,7 +234,7 @@ def _words(owner: dict[str, object]) -> str:
 
 def _held(path: Path, owner: dict[str, object]) -> InputError:
     return InputError(
-        f"the output folder {path.parent} is being written by another run: {_words(owner)}; wait until it "
+        f"the output folder {path.parent} {HELD}: {_words(owner)}; wait until it "
         f"has ended, or give another --out (if there is no such run any more, remove {path})"
     )
 

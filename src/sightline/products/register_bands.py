@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.execution import available_processors, in_threads
+from sightline.execution import in_threads, thread_count
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.reduce import Mapping
@@ -231,7 +231,7 @@ def line_blocks(
     """
     lines, columns = sources[0].shape
     height = max(1, BLOCK_PIXELS // columns)
-    together = max(1, (threads or available_processors()) // len(sources))
+    together = max(1, (threads or thread_count()) // len(sources))
 
     def work(job: tuple[int, ImageSource]) -> Pixels:
         first, source = job

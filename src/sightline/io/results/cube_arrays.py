@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.execution import available_processors
+from sightline.execution import thread_count
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
 from sightline.version import VERSION
@@ -123,7 +123,7 @@ def netcdf_library() -> Any:
 def write_zarr(path: Path, grid: CubeGrid, layout: BandLayout, blocks: Blocks) -> None:
     """A Zarr 3 group with consolidated metadata; `blocks` come in the order of `chunks_of`."""
     zarr = zarr_library()
-    with zarr.config.set({"threading.max_workers": available_processors()}), naming_file(path):
+    with zarr.config.set({"threading.max_workers": thread_count()}), naming_file(path):
         group = zarr.create_group(store=path, overwrite=True)
         cube = group.create_array(
             "cube", shape=(len(layout), *grid.shape), chunks=chunks_of(grid, layout), dtype="float32",

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.registration import Registration
 from sightline.errors import printable
-from sightline.execution import Progress, Step, available_processors, silent, steps_of
+from sightline.execution import Progress, Step, silent, steps_of, thread_count
 from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition.acquired import Acquisition
@@ -283,5 +283,5 @@ def optimise(draft: Path, path: Path, dtype: np.dtype[Any]) -> None:
     with whole_raster(path) as made:
         rasterio.shutil.copy(
             draft, made, driver="COG", COMPRESS="DEFLATE", LEVEL="1", PREDICTOR="YES", BLOCKSIZE=str(TILE),
-            BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS=str(available_processors()),
+            BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS=str(thread_count()),
         )  # fmt: skip

@@ -817,6 +817,33 @@ class TieSummary(RunSummary):
     left_out: dict[str, str] = _is("Images that were not, and why")
 
 
+# --------------------------------------------------------------------------------------- batch
+
+
+class BatchEntry(SummaryPart):
+    """One input."""
+
+    name: str = _is("Of its folder")
+    file: str = _is("As it was given")
+    command: str = _is("That it is for; empty: there is none")
+    state: Literal["done", "failed"]
+    status: Count = _is("Exit status of the command")
+    message: str = _is("Why it failed; empty: it did not")
+    warnings: Count = _is("How many its own summary has")
+    wall_seconds: Annotated[float, Field(ge=0.0)]
+    peak_memory_bytes: Count | None
+    figures: dict[str, Number] = _is("Its main numbers, as the columns of results.csv")
+
+
+class BatchSummary(RunSummary):
+    """Of ``batch``."""
+
+    result: Literal["Batch"] = _is("Class of the result in Python")
+    done: Count = _is("Inputs whose command ended well, now or in an earlier batch")
+    failed: Count = _is("All others")
+    jobs: list[BatchEntry] = _is("Every input, in the order in which they were given")
+
+
 # --------------------------------------------------------------------------------------- score
 
 
@@ -851,7 +878,7 @@ class ScoreSummary(ResultSummary):
 SUMMARIES: tuple[type[ResultSummary], ...] = (
     RecoverySummary, RegistrationSummary, MosaicSummary, LayoutSummary, OrientationSummary, PredictionSummary,
     SequenceSummary, CubeResultSummary, TdiSummary, NoiseSummary, RasterMatchSummary,
-    BandMatchSummary, TieSummary, ScoreSummary,
+    BandMatchSummary, TieSummary, ScoreSummary, BatchSummary,
 )  # fmt: skip
 
 
