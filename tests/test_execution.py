@@ -15,14 +15,18 @@ import pytest
 from sightline import execution
 from sightline.errors import InputError, SightlineError
 from sightline.execution import (
+    Workers,
     available_processors,
     executor_from_name,
+    give_threads,
     in_threads,
     machine_memory,
     one_blas_thread,
     process,
     serial,
     size_words,
+    thread_count,
+    threads_limited,
     time_words,
 )
 
@@ -56,6 +60,10 @@ def test_results_are_bitwise_the_same_whatever_the_executor_and_the_workers():
         with process(workers) as executor:
             got = list(executor.map(smoothed_noise, range(13)))
             again = list(executor.map(partial(smoothed_noise, length=400), range(13)))
+            begun: list[int] = []
+            numbered = dict(executor.completed(smoothed_noise, range(13), lost=told, begun=begun.append))
+        assert begun == list(range(13))
+        assert all(numbered[k].tobytes() == expected[k].tobytes() for k in range(13))
         for ours, theirs, later in zip(expected, got, again, strict=True):
             assert ours.tobytes() == theirs.tobytes() == later.tobytes()
 
@@ -104,30 +112,113 @@ def test_items_are_taken_as_they_are_needed():
         results.close()
 
 
-def test_a_worker_that_dies_is_reported_with_advice():
-    with process(1) as executor, pytest.raises(SightlineError, match="fewer workers"):
-        list(executor.map(ends_the_process, range(2)))
+def told(item: int, how: str) -> str:
+    """What stands in the place of a result that is lost."""
+    return how
+
+
+def ends_its_first_process(item: int, folder: Path) -> int:
+    """Of item 1 the first process ends by a signal."""
+    if item == 1 and not list(folder.iterdir()):
+        (folder / "tried").touch()
+        os.kill(os.getpid(), 9)
+    return item * item
+
+
+def test_an_item_whose_worker_ends_is_done_by_another_and_one_that_ends_all_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(execution, "TRIES", 2)
+    with process(1) as executor:
+        work = partial(ends_its_first_process, folder=tmp_path)
+        assert sorted(executor.completed(work, range(4), lost=told)) == [(0, 0), (1, 1), (2, 4), (3, 9)]
+        assert [path.name for path in tmp_path.iterdir()] == ["tried"]
+        with pytest.raises(SightlineError, match=r"2 times a worker ended .* use fewer workers"):
+            list(executor.map(ends_the_process, range(2)))
+    with process(1) as executor:
+        ((number, how),) = executor.completed(ends_the_process, [5], lost=told)
+        assert number == 0 and how == "2 times a worker process ended without an answer (exit status 3)"
+
+
+def threads_there(_: int) -> int:
+    return thread_count()
+
+
+def test_a_worker_has_its_share_of_the_threads_and_a_number_that_is_given_holds(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    with execution.ProcessExecutor(1, threads=5) as executor:
+        assert list(executor.map(threads_there, [0])) == [5]
+    assert thread_count() == 1
+    with threads_limited(None):
+        give_threads(3)
+        assert thread_count() == 3
+        together = threading.Barrier(3)  # broken unless so many wait at once
+        in_threads(lambda _: together.wait(timeout=30.0), range(3))
+    assert thread_count() == 1
 
 
 def test_executors_are_found_by_name():
-    assert executor_from_name("serial").workers == 1
-    assert executor_from_name("process", 3).workers == 3
+    assert executor_from_name("serial").workers == executor_from_name("1").workers == 1
+    assert executor_from_name("process:3").workers == executor_from_name("3").workers == 3
     assert executor_from_name("process").workers == available_processors()
+    assert Workers.read("dask:tcp://10.0.0.5:8786") == Workers("dask", None, "tcp://10.0.0.5:8786")
 
 
 @pytest.mark.parametrize(
-    ("name", "workers", "message"),
+    ("name", "message"),
     [
-        ("threads", None, "unknown executor 'threads'; allowed are serial, process and dask:ADDRESS"),
-        ("dask", None, "unknown executor 'dask'"),
-        ("process", 0, "`workers` must be 1 or more, got 0"),
-        ("serial", 4, "use `process`"),
-        ("dask:tcp://127.0.0.1:9", 4, "leave it out"),
+        ("threads", "`workers` = 'threads' is not known; allowed are N, process:N, dask:ADDRESS"),
+        ("dask", "'dask' lacks the address of a scheduler; allowed"),
+        ("dask:", "'dask:' lacks the address of a scheduler; allowed"),
+        ("process:", "lacks a number of processes"),
+        ("0", "0 is no whole number from 1 to"),
+        ("-2", "-2 is no whole number from 1 to"),
+        ("process:0", "0 is no whole number from 1 to"),
+        ("process:two", "two is no whole number"),
+        ("9" * 5000, "is no whole number from 1 to"),
+        ("1.5", "is not known"),
+        ("", "is not known"),
     ],
 )
-def test_a_wrong_executor_is_refused_with_what_is_allowed(name, workers, message):
+def test_a_wrong_executor_is_refused_with_what_is_allowed(name, message):
     with pytest.raises(InputError, match=message):
-        executor_from_name(name, workers)
+        executor_from_name(name)
+
+
+def test_a_scheduler_that_is_not_there_is_one_clear_error(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(execution, "_CONNECTS", 0.5)
+    with (
+        executor_from_name("dask:tcp://127.0.0.1:9") as executor,
+        pytest.raises(InputError, match=r"no dask scheduler answered at 'tcp://127.0.0.1:9'"),
+    ):
+        list(executor.completed(smoothed_noise, range(2), lost=told))
+
+
+class LostCluster:
+    """A client whose scheduler is gone: what it has taken gets no answer."""
+
+    status = "closed"
+
+    def nthreads(self) -> dict[str, int]:
+        return {"one": 1}
+
+    def submit(self, *_: object, **__: object) -> LostCluster:
+        return self
+
+    def add_done_callback(self, _: object) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_scheduler_that_ends_is_one_clear_error(monkeypatch):
+    monkeypatch.setattr(execution, "_LOOKS", 0.01)
+    with executor_from_name("dask:tcp://127.0.0.1:9") as executor:
+        executor._connected = LostCluster()
+        with pytest.raises(SightlineError, match=r"does not answer any more; .* --resume"):
+            list(executor.completed(smoothed_noise, range(2), lost=told))
+        with pytest.raises(SightlineError, match=r"does not answer any more; .* --resume"):
+            list(executor.map(smoothed_noise, range(2)))
 
 
 def test_dask_gives_the_same_results():
@@ -139,7 +230,8 @@ def test_dask_gives_the_same_results():
         ) as cluster,
         executor_from_name(f"dask:{cluster.scheduler_address}") as executor,
     ):
-        assert executor.workers == 2
+        assert executor.workers == 1  # which has two threads for an item
+        assert list(executor.map(threads_there, [0])) == [2]
         assert [result.tobytes() for result in executor.map(smoothed_noise, range(7))] == expected
 
 

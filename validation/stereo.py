@@ -391,7 +391,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     given = parser.parse_args()
-    with executor_from_name("process" if given.workers > 1 else "serial", given.workers) as work:
+    with executor_from_name(str(given.workers)) as work:
         for name in given.parts:
             PARTS[name](work, given.passes)
 

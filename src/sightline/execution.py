@@ -423,13 +423,12 @@ def _serve(connection: Connection[Any, Any], threads: int) -> None:
     # Ctrl-C reaches every process of the terminal: who started this one decides, and asks by SIGTERM
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, stop)
-    for variable in ("OMP_NUM_THREADS", *BLAS_THREADS):
-        os.environ[variable] = "1"
+    _limit_blas_of_this_process()
     with suppress(EOFError, OSError, KeyboardInterrupt), threads_limited(threads):
         while True:
             function, item = connection.recv()
             try:
-                answer = True, _with_one_blas_thread(function, item)
+                answer = True, function(item)
             except Exception as error:
                 answer = False, error
             try:
@@ -543,11 +542,16 @@ def _on_worker(function: Callable[[Item], Result], item: Item) -> Result:
     from distributed import get_worker
 
     with _one_item, threads_limited(get_worker().state.nthreads):
-        return _with_one_blas_thread(function, item)
+        return one_blas_thread(function)(item)
 
 
-def _with_one_blas_thread(function: Callable[[Item], Result], item: Item) -> Result:
-    return one_blas_thread(function)(item)
+def _limit_blas_of_this_process() -> None:
+    """One thread for the linear algebra of a fresh process, whether numpy is loaded yet or not."""
+    from threadpoolctl import threadpool_limits
+
+    for variable in ("OMP_NUM_THREADS", *BLAS_THREADS):
+        os.environ[variable] = "1"
+    threadpool_limits(limits=1, user_api="blas")
 
 
 def serial() -> SerialExecutor:

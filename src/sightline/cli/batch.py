@@ -56,7 +56,7 @@ def batch(
 ) -> None:
     """Run the command of every file into a folder of its own below DIR; those that fail stop no other."""
     from sightline.applications.batch import Batch, job_names
-    from sightline.cli.jobs import RECORDS, Job, lost_job, run_job
+    from sightline.cli.jobs import RECORDS, Job, job_runner, lost_job
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import print_json, progress
     from sightline.execution import available_processors, executor_from_name
@@ -78,7 +78,9 @@ def batch(
         outcomes: dict[int, JobOutcome] = {}
         try:
             with _board(jobs) as board, asked as executor:
-                for number, outcome in executor.completed(run_job, jobs, lost=lost_job, begun=board.begun):
+                for number, outcome in executor.completed(
+                    job_runner(), jobs, lost=lost_job, begun=board.begun
+                ):
                     outcomes[number] = outcome
                     board.ended(number, outcome)
         except KeyboardInterrupt as error:

@@ -14,14 +14,17 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from hashlib import sha256
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sightline.access import SMALL, read_bytes, shut_network
+from sightline.cli.statuses import HUNG_UP, INTERRUPTED, TERMINATED, status_of
 from sightline.errors import InputError, SightlineError
 from sightline.execution import Executor, ProcessExecutor, Workers, available_processors, executor_from_name
 from sightline.inputs import apart, unchanged
@@ -42,6 +45,21 @@ _STAGED = frozenset(("recover", "georeference"))
 #: s that a job waits for one that still writes into its folder: on a cluster whose scheduler was lost, or cut
 #: off from it, a job goes on to its end.
 _WAITS, _LOOKS = 300.0, 2.0
+
+
+#: What runs a command line and gives its exit status.
+Run = Callable[..., int]
+_run: list[Run] = []
+
+
+def serve(run: Run) -> None:
+    """Hang in what runs a command line, which imports this file; it does so once."""
+    _run[:] = [run]
+
+
+def job_runner() -> Callable[[Job], JobOutcome]:
+    """What a worker does with an input of a batch."""
+    return partial(run_job, _run[0])
 
 
 # --------------------------------------------------------------------------------- one command elsewhere
@@ -91,7 +109,7 @@ def elsewhere(words: list[str], *, debug: bool) -> int | None:
         return None
     with _one_worker(workers) as executor:
         line = CommandLine(tuple(others), os.getcwd(), debug, captured=workers.kind == "dask")
-        ((_, said),) = executor.completed(run_words, [line], lost=_lost_line)
+        ((_, said),) = executor.completed(partial(run_words, _run[0]), [line], lost=_lost_line)
     sys.stdout.write(said.out)
     sys.stderr.write(said.err)
     return said.status
@@ -121,10 +139,8 @@ def _lost_line(line: CommandLine, how: str) -> Said:
     raise SightlineError(f"{how}; most often memory ran out: give it a worker with more")
 
 
-def run_words(line: CommandLine) -> Said:
+def run_words(run: Run, line: CommandLine) -> Said:
     """What a worker does with a command line; KeyboardInterrupt where it was asked to end."""
-    from sightline.cli.main import run
-
     with _ready(line.place, "--allow-network" in line.words):
         if not line.captured:
             return Said(_went(run(list(line.words), debug=line.debug)))
@@ -135,8 +151,6 @@ def run_words(line: CommandLine) -> Said:
 
 def _went(status: int) -> int:
     """The exit status, unless the command was stopped: then it has to be begun again, or all ends."""
-    from sightline.cli.main import HUNG_UP, INTERRUPTED, TERMINATED
-
     if status in (INTERRUPTED, TERMINATED, HUNG_UP):
         raise KeyboardInterrupt
     return status
@@ -145,7 +159,7 @@ def _went(status: int) -> int:
 @contextmanager
 def _ready(place: str, network: bool) -> Iterator[None]:
     """A worker as the command line finds its own process: in the folder of its words, without a network."""
-    if not network:
+    if parent_process() is not None and not network:  # the process of the command line has done so itself
         shut_network()
     before = os.getcwd()
     try:
@@ -213,20 +227,20 @@ class Job:
         return Path(self.out, RECORDS, f"{self.name}.json")
 
 
-def run_job(job: Job) -> JobOutcome:
+def run_job(run: Run, job: Job) -> JobOutcome:
     """What a worker does with an input: its own command into its own folder; never raises but to end.
 
     One that an earlier batch, or this one on a worker that was lost afterwards, has done is left as it is.
     """
     from sightline.applications.batch import JobOutcome
-    from sightline.cli.main import status_of
 
     begun, cpu = time.perf_counter(), time.process_time()
     outcome = JobOutcome(job.name, job.file, worker=f"{socket.gethostname()}:{os.getpid()}")
     with _captured() as (_, err):
         try:
-            with _ready(job.place, job.allow_network):
-                outcome = _done(job, outcome, err)
+            # what a job reads is no input of the batch around it, which may end days later
+            with _ready(job.place, job.allow_network), apart(job.folder):
+                outcome = _done(run, job, outcome, err)
         except Exception as error:
             outcome = replace(outcome, status=status_of(error))
     if outcome.status and not outcome.message:
@@ -245,7 +259,7 @@ def lost_job(job: Job, how: str) -> JobOutcome:
     )
 
 
-def _done(job: Job, outcome: JobOutcome, err: io.StringIO) -> JobOutcome:
+def _done(run: Run, job: Job, outcome: JobOutcome, err: io.StringIO) -> JobOutcome:
     """The outcome of an input, its own times left out where an earlier run has them."""
     from sightline.applications.batch import JobOutcome
     from sightline.io.results.line_of_sight import peak_memory
@@ -278,7 +292,7 @@ def _done(job: Job, outcome: JobOutcome, err: io.StringIO) -> JobOutcome:
     begun, cpu = time.perf_counter(), time.process_time()
     listing = _listing(Path(job.file))
     with apart(job.folder) as inputs:
-        status = _waiting_for_others(words, err)
+        status = _waiting_for_others(run, words, err)
         stamps = inputs.stamps()
     summary = _summary(job.folder) if status == 0 else {}
     outcome = replace(
@@ -298,10 +312,8 @@ def _done(job: Job, outcome: JobOutcome, err: io.StringIO) -> JobOutcome:
     return outcome
 
 
-def _waiting_for_others(words: list[str], err: io.StringIO) -> int:
+def _waiting_for_others(run: Run, words: list[str], err: io.StringIO) -> int:
     """Exit status of a command, begun again while another run still writes into its folder."""
-    from sightline.cli.main import run
-
     until = time.monotonic() + _WAITS
     while True:
         place = err.tell()

@@ -41,10 +41,16 @@ from sightline.cli import (
     version,
     warm_up,
 )
-from sightline.cli.jobs import elsewhere
+from sightline.cli.jobs import elsewhere, serve
 from sightline.cli.options import examples
+from sightline.cli.statuses import (
+    INTERRUPTED,
+    UNREAD,
+    WRONG_INPUT,
+    status_of,
+)
 from sightline.cli.terminal import complain, warnings_as_messages
-from sightline.errors import EstimationError, GeometryError, InputError, SightlineError
+from sightline.errors import InputError
 from sightline.execution import BLAS_THREADS, threads_limited
 from sightline.output.folder import Interrupted, published
 from sightline.writing import creation_date
@@ -52,13 +58,6 @@ from sightline.writing import creation_date
 # Named through typer, because its newer versions carry a click of their own.
 _UsageError: Any = typer.BadParameter.__base__
 _ClickException: Any = _UsageError.__base__
-
-DATA_CANNOT_ANSWER = 1
-WRONG_INPUT = 2
-DEFECT = 70
-INTERRUPTED = 130
-#: 128 and the number of SIGTERM, of SIGHUP, of SIGPIPE.
-TERMINATED, HUNG_UP, UNREAD = 143, 129, 141
 
 app = typer.Typer(
     name="sightline",
@@ -239,24 +238,4 @@ def _say_usage(error: Any) -> None:
         complain("error", f"{said}; see: {command} --help")
 
 
-def status_of(error: Exception) -> int:
-    """Say what went wrong on stderr and give the exit status that belongs to it."""
-    if isinstance(error, SightlineError):
-        complain("error", str(error))
-        cannot_answer = isinstance(error, EstimationError | GeometryError) or type(error) is SightlineError
-        return DATA_CANNOT_ANSWER if cannot_answer else WRONG_INPUT
-    if isinstance(error, OSError):
-        place = f": {error.filename}" if error.filename else ""
-        complain("error", f"the system refused a file: {error.strerror or error}{place}")
-        return WRONG_INPUT
-    if isinstance(error, MemoryError):
-        complain(
-            "error", "memory ran out; give less at once: a shorter strip, fewer frames, columns or signals"
-        )
-        return DATA_CANNOT_ANSWER
-    complain(
-        "defect",
-        f"{type(error).__name__}: {error}; this is a fault of Sightline, not of your input; run the same "
-        "command with --debug and report what it prints",
-    )
-    return DEFECT
+serve(run)

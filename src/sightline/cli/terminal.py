@@ -1,6 +1,6 @@
 """What the user sees: the summary on stdout, progress, warnings and errors on stderr.
 
-Nothing here decides anything; exit statuses are in ``main.py``.
+Nothing here decides anything; exit statuses are in ``statuses.py``.
 """
 
 from __future__ import annotations
