@@ -165,7 +165,7 @@ def test_a_worker_that_is_asked_to_end_gives_its_job_up(stereo):
 
 def test_a_worker_with_another_version_or_other_files_says_so(stereo, tmp_path):
     one = run_job(
-        Job("one", "pass/stereo.toml", "out", str(stereo), "t", False, False, False, version="0.0.9")
+        run, Job("one", "pass/stereo.toml", "out", str(stereo), "t", False, False, False, version="0.0.9")
     )
     assert one.status == 2 and "was begun by 0.0.9" in one.message and not Path("out").exists()
     one = run_job(run, Job("one", "pass/stereo.toml", "out", str(stereo / "gone"), "t", False, False, False))

@@ -73,7 +73,7 @@ EXAMPLES = {
     "tie": ("tie strip.toml --reference ortho.tif --dem dem.tif --out tied",),
     "batch": (
         "batch strips/*.toml --out results --workers 8",
-        "batch @today.txt --out results --workers dask:tcp://10.0.0.5:8786 --resume",
+        "batch @today.txt --out results --workers dask:local --resume",
     ),
     "schema": ("schema acquisition",),
     "version": ("version",),
