@@ -181,3 +181,19 @@ def test_cameras_of_a_product_are_exported_without_a_result(strip, capsys):
     capsys.readouterr()
     assert run(["export", toml, "--to", "shifts", "--out", str(strip / "none")]) == 2
     assert "give the folder that `recover` wrote" in capsys.readouterr().err
+
+
+def test_a_raw_image_of_junocam_is_an_acquisition(real_data, tmp_path, capsys):
+    folder = real_data("junocam_spin_scan")
+    image = next(folder.glob("*36C00061*.png"))
+    assert run(["init", str(image), "--out", str(tmp_path / "acq")]) == 0
+    said = capsys.readouterr().out
+    assert "give its metadata and those of another image of the same orbit" in said
+    file = written(tmp_path / "acq")
+    assert file["surface"]["kind"] == "infinity" and len(file["frame"]) == 12
+    assert (tmp_path / "acq" / file["frame"][0]["mask"]).is_file()
+    metadata = sorted(map(str, folder.glob("*.json")))
+    assert run(["init", str(image), *metadata, "--out", str(tmp_path / "acq2")]) == 2
+    assert "that of the image and of one other of the same orbit are needed" in capsys.readouterr().err
+    assert run(["init", *metadata, "--out", str(tmp_path / "acq2")]) == 2
+    assert "0 raw images of JunoCam are given" in capsys.readouterr().err

@@ -8,6 +8,7 @@ Not here: what is done with them (``applications/spin_attitude.py``).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.access import read_json
+from sightline.access import check_file, read_json
 from sightline.errors import EstimationError, FormatError, foreign_errors
 from sightline.estimation.robust import robust_sigma
 from sightline.geometry.earth import from_geodetic
@@ -62,6 +63,8 @@ BLIND, LEAST_LIT = 26, 1000
 #: A radiation hit stands out of its surroundings by so many sigmas, and so many levels.
 HIT_SIGMAS, HIT_LEVELS = 6.0, 6.0
 
+#: Bytes at the begin of a metadata file by which it is recognised.
+_HEAD = 4096
 #: Numbers of a metadata file and where they lie: s, degrees, km.
 _EXPECTED = {
     "INTERFRAME_DELAY": (1e-3, 60.0),
@@ -134,6 +137,14 @@ def read_metadata(path: Path) -> JunoMetadata:
         float(-np.radians(number["SUB_SPACECRAFT_LONGITUDE"])),
         1e3 * number["SPACECRAFT_ALTITUDE"],
     )
+
+
+def is_metadata(path: Path) -> bool:
+    """Whether a file begins as metadata of JunoCam do; FormatError for what is no regular file."""
+    check_file(path)
+    with foreign_errors(path, "cannot be read", "check its permissions"), path.open("rb") as stream:
+        head = stream.read(_HEAD)
+    return head.lstrip().startswith(b"{") and b'"INSTRUMENT_ID": "JNC"' in re.sub(rb"\s*:\s*", b": ", head)
 
 
 def read_framelets(path: Path) -> Pixels:
@@ -357,6 +368,46 @@ def write_junocam_acquisition(
         If the image is no raw image, no metadata belong to it, or nothing in it is lit.
     """
     out.mkdir(parents=True, exist_ok=True)
+    begun = junocam_frames(image, metadata=metadata, infinity=infinity)
+    begun.write(out)
+    path = out / "acquisition.toml"
+    path.write_text(begun.text, encoding="utf-8")
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class JunocamFrames:
+    """A raw image as frames: the text of its acquisition, and the files that this names.
+
+    Attributes
+    ----------
+    text : str
+        ACQUISITION.toml.
+    levels, masks : dict
+        Decoded levels (float32) and masks (uint8) of exposures, by their number.
+    positions : dict or None
+        Columns of ``positions.csv``.
+    limb : LimbFit or None
+        What the attitude rests on.
+    """
+
+    text: str
+    levels: dict[int, NDArray[np.float32]]
+    masks: dict[int, Pixels]
+    positions: dict[str, Array] | None
+    limb: LimbFit | None
+
+    def write(self, out: Path) -> None:
+        """Every file but the TOML into a folder."""
+        for k, pixels in self.levels.items():
+            np.save(out / f"exposure_{k:02}.npy", pixels)
+            np.save(out / f"mask_{k:02}.npy", self.masks[k])
+        if self.positions is not None:
+            write_columns(out / "positions.csv", self.positions)
+
+
+def junocam_frames(image: Path, *, metadata: Sequence[Path] = (), infinity: bool = False) -> JunocamFrames:
+    """What `write_junocam_acquisition` writes; arguments and errors as there."""
     framelets = read_framelets(image)
     known = sorted((read_metadata(path) for path in metadata), key=lambda item: item.start)
     own = [k for k, item in enumerate(known) if item.product in image.name]
@@ -367,7 +418,9 @@ def write_junocam_acquisition(
             "of one other of the same orbit are needed; or leave them out: the surface is then at infinity"
         )
     interval = CLOCK + (known[own[0]].delay if own else DELAY)
-    exposures = _write_frames(framelets, out)
+    levels, masks = _frames(framelets)
+    positions: dict[str, Array] | None = None
+    limb: LimbFit | None = None
     if far:
         platform = [
             "attitude = [0.0, 0.0, 0.0, 1.0]",
@@ -377,17 +430,15 @@ def write_junocam_acquisition(
         surface = ['kind = "infinity"', f"parallax_sigma = {PARALLAX_SIGMA}"]
         epoch: list[str] = []  # attitudes in axes of their own belong into no message
     else:
-        platform = _located(framelets, interval, known, own[0], out)
+        positions, limb, platform = _located(framelets, interval, known, own[0])
         surface = [f"radii = [{RADII[0]}, {RADII[1]}]"]
         epoch = [f'epoch = "{known[own[0]].start.isoformat()}"']
-    text = _toml(image.stem, epoch, platform, surface, interval, exposures, far=far)
-    path = out / "acquisition.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    text = _toml(image.stem, epoch, platform, surface, interval, list(levels), far=far)
+    return JunocamFrames(text, levels, masks, positions, limb)
 
 
-def _write_frames(framelets: Pixels, out: Path) -> list[int]:
-    """Decoded exposures and their masks as files; numbers of those that show the lit disc."""
+def _frames(framelets: Pixels) -> tuple[dict[int, NDArray[np.float32]], dict[int, Pixels]]:
+    """Decoded exposures and their masks, by the number of those that show the lit disc."""
     table = companding_table()
     levels, masks, lit_pixels = [], [], []
     for exposure in framelets:
@@ -405,25 +456,23 @@ def _write_frames(framelets: Pixels, out: Path) -> list[int]:
     if len(lit) < 2:
         raise FormatError("no lit disc in the image: fewer than two exposures are brighter than the sky")
     exposures = list(range(int(lit[0]), int(lit[-1]) + 1))
-    for k in exposures:
-        pixels = table[levels[k]]
+    decoded = {k: table[levels[k]] for k in exposures}
+    for pixels in decoded.values():
         pixels[:, :BLIND] = np.nan
-        np.save(out / f"exposure_{k:02}.npy", pixels)
-        np.save(out / f"mask_{k:02}.npy", masks[k].astype(np.uint8))
-    return exposures
+    return decoded, {k: masks[k].astype(np.uint8) for k in exposures}
 
 
 def _located(
-    framelets: Pixels, interval: float, known: Sequence[JunoMetadata], which: int, out: Path
-) -> list[str]:
-    """``positions.csv`` along the arc, and the lines of ``[platform]`` that say where the camera is."""
+    framelets: Pixels, interval: float, known: Sequence[JunoMetadata], which: int
+) -> tuple[dict[str, Array], LimbFit, list[str]]:
+    """Positions along the arc, the limb, and the lines of ``[platform]`` that say where the camera is."""
     t = interval * np.arange(-6.0, len(framelets) + 6.0)
     place = arc(known, which, t)
-    write_columns(out / "positions.csv", {"t": t, "x": place[:, 0], "y": place[:, 1], "z": place[:, 2]})
+    positions = {"t": t, "x": place[:, 0], "y": place[:, 1], "z": place[:, 2]}
     seen = interval * np.arange(float(len(framelets)))
     still = Rotation.from_rotvec(ROTATION * seen[:, None] * [0.0, 0.0, 1.0]).apply(arc(known, which, seen))
     fit = limb_attitude(framelets, interval, still, sun_direction(known[which].start))
-    return [
+    lines = [
         'positions = "positions.csv"',
         f"world_rate = {ROTATION:.10g}",
         f"attitude = {fit.world_from_body.as_quat().tolist()}",
@@ -431,6 +480,7 @@ def _located(
         f"attitude_sigma = {max(ATTITUDE_SIGMA, fit.sigma):.3g}",
         f"attitude_turn_sigma = {max(TURN_ABOUT_SIGMA, fit.sigma_turn):.3g}   # about the line to the centre",
     ]
+    return positions, fit, lines
 
 
 def _toml(

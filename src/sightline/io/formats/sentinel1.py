@@ -1,7 +1,7 @@
 """Orbits and attitudes of Sentinel-1 as annotations list them, in CSV: their axes made those of one body.
 
 Quaternions stand scalar last, from a body to the axes of 2000 (GM2000); their body flies along its -y. The
-rates beside them are about other axes: x ahead, y right, z down, turned 30 degrees to the right (the antenna).
+rates beside them are about other axes: x ahead, y right, z 30 degrees to the right of down (the antenna).
 Axes x, y, z of the rates are -y, -x, -z of the quaternions: so the rates are those of the quaternions (1.5e-6
 rad/s rms; 5e-4 as they stand), and the orbit agrees. That they need turning: ESA, EOCFI-NOTE-052, 2014.
 

@@ -5,6 +5,7 @@ Not here: reading products (``io/formats/products/``), how well they agree with 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -14,6 +15,7 @@ from sightline.errors import InputError
 from sightline.geometry.apparent import APPARENT
 from sightline.io.formats.hirise_edr import is_hirise
 from sightline.io.formats.instants import FIRST_YEAR, LAST_YEAR
+from sightline.io.formats.junocam import is_metadata, junocam_frames
 from sightline.io.formats.line_scan import shared_grid
 from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
@@ -28,6 +30,8 @@ from sightline.io.names import toml_string
 from sightline.writing import whole_text
 
 #: Endings of images that are looked for beside metadata that do not name them.
+#: Names of raw images of JunoCam.
+_RAW = re.compile(r"JNC[ER]_\d{7}_.*\.(png|tiff?)$", re.IGNORECASE)
 _IMAGES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img", ".vrt", ".til")
 #: s between the last line of a product and the first of another from which on they are two strips.
 _APART = 60.0
@@ -67,6 +71,9 @@ def acquisition_of_products(
         if names:
             raise InputError("HiRISE EDRs take no --bands: each channel says of which CCD it is")
         return acquisition_of_edrs(edrs, folder)
+    about = [path for path in paths if not path.is_dir() and is_metadata(path)]
+    if about or all(_RAW.match(path.name) for path in paths):
+        return _of_junocam([path for path in paths if path not in about], about, folder, names)
     files = [metadata_of(path) for path in paths]
     kinds = [product_kind(path) or "" for path in files]
     if any(kind.startswith("sentinel2") for kind in kinds):
@@ -117,6 +124,49 @@ def acquisition_of_products(
     still = _still(products)
     lacking = (*missing, *against, *([still] if still else []))
     return FirstAcquisition(text, assumed, unknown, found_out, lacking, _Beside(products, sensors, folder))
+
+
+def _of_junocam(
+    images: Sequence[Path], metadata: Sequence[Path], folder: Path, names: Sequence[str]
+) -> FirstAcquisition:
+    """Frames of a raw image of JunoCam: along the orbit by the metadata of two, or before an infinite sky."""
+    if names:
+        raise InputError("JunoCam takes no --bands: its framelets are blue, green and red in turn")
+    if len(images) != 1:
+        raise InputError(
+            f"{(*images, *metadata)[0]}: {len(images)} raw images of JunoCam are given; give one image "
+            "(JNCE_..._raw.png), its metadata, and those of another image of the same orbit"
+        )
+    alone = len(metadata) < 2
+    begun = junocam_frames(images[0], metadata=metadata, infinity=alone)
+    fit = begun.limb
+    assumed = (
+        "camera: focal length, pixels, distortion and lines of the strips of the published instrument kernel",
+        "spin: 0.0778 rad between exposures, known to 2e-4",
+        *(
+            ()
+            if fit is None
+            else (
+                "orbit: the arc of two bodies through the places of both metadata",
+                f"attitude: by {fit.kept} points of the limb; its centre is known to {fit.sigma:.2g} rad, "
+                f"the turn about the line to it to {fit.sigma_turn:.2g} rad",
+            )
+        ),
+    )
+    unknown = (
+        *(
+            (
+                "where the camera was: give its metadata and those of another image of the same orbit too; "
+                "until then the surface is infinitely far, and its parallax is part of every sigma",
+            )
+            if alone
+            else ("heights of the clouds: one scale height of the atmosphere (25 km) for each colour",)
+        ),
+        "attitude of the day by other means: with kernels of SPICE (ck, fk, sclk of Juno) give [platform] "
+        "attitude",
+    )
+    text = acquisition_text(assumed, unknown, [begun.text], folder)
+    return FirstAcquisition(text, assumed, unknown, write=begun.write)
 
 
 def _edrs(paths: Sequence[Path]) -> list[Path]:
