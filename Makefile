@@ -57,6 +57,9 @@ docs: $(DEV)  ## the site in build/site, from docs/: its notebooks are run, its 
 	cd website && NO_MKDOCS_2_WARNING=1 OMP_NUM_THREADS=1 $(abspath $(BIN))/python -m mkdocs build --quiet
 	OMP_NUM_THREADS=1 $(BIN)/python website/check.py
 
+dist: $(DEV)  ## wheel and sdist in dist/, each installed into a fresh environment and used there; no network
+	KEEP_IN=dist .ci/wheel $(BIN)/python
+
 fuzz: $(DEV)  ## spoilt inputs for every reader, MINUTES long; a new seed each time unless SEED is given
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(filter command line environment,$(origin SEED)),--seed $(SEED)) $(ARGS)
 

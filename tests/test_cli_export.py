@@ -73,7 +73,11 @@ def test_a_flat_world_has_no_body_to_be_fixed_to(recovery, tmp_path, to, capsys)
 @pytest.mark.parametrize(
     ("to", "more", "said"),
     [
-        ("obj", [], "--to is 'obj'; allowed are csm, isd, aem, oem, rpc, quaternions, shifts, ck, isis"),
+        (
+            "obj",
+            [],
+            "--to is 'obj'; allowed are csm, isd, aem, oem, rpc, quaternions, shifts, ck, isis",
+        ),
         ("quaternions", ["--kernel", "naif.tls"], "--kernel is for --to ck and isis"),
         ("quaternions", ["--acquisition", "none.toml"], "none.toml: no such file"),
     ],

@@ -202,12 +202,12 @@ def must_fit(folder: Path, size: int, what: str, advice: str) -> None:
     free = shutil.disk_usage(folder).free
     if size > free:
         raise InputError(
-            f"{_final(folder)}: {what} needs {size_words(size, 3)}, {size_words(free, 3)} are free; "
+            f"{final_folder(folder)}: {what} needs {size_words(size, 3)}, {size_words(free, 3)} are free; "
             f"{advice} or give another folder"
         )
 
 
-def _final(folder: Path) -> Path:
+def final_folder(folder: Path) -> Path:
     """The folder in which the files of one that is not yet published will lie."""
     parts = folder.parts
     staged = [k for k, part in enumerate(parts) if part.startswith(".partial-")]

@@ -10,7 +10,20 @@ import typer
 from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
 
 #: Forms, as ``io/results/exports.py`` writes them: said in --help, which must not wait for its import.
-FORMS = ("csm", "isd", "aem", "oem", "rpc", "quaternions", "shifts", "ck", "isis")
+FORMS = (
+    "csm",
+    "isd",
+    "aem",
+    "oem",
+    "rpc",
+    "quaternions",
+    "shifts",
+    "ck",
+    "isis",
+    "stac",
+    "geoparquet",
+    "igm",
+)
 
 
 def export(
@@ -40,7 +53,7 @@ def export(
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
-    """Write a result as CSM state, ISD, RPC, CCSDS message, C kernel, quaternions, or shifts of pixels."""
+    """Write a result as CSM state, ISD, RPC, CCSDS message, C kernel, GLT, item of STAC, ..."""
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.errors import InputError, failing_numbers
@@ -98,6 +111,8 @@ def _how_near(band: dict[str, Any]) -> str:
     """How far what was written is from the result, in words."""
     if "frame" in band:
         return f"frame {band['frame']}, {band['id']}"
+    if "gsd" in band:
+        return f"map of {band['gsd']:g} m, {band['crs']}"
     if "lens_px" in band:
         return f"detector line met to {band['lens_px']:.1e} px"
     line, column = band["rms_px"]

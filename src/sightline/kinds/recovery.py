@@ -184,6 +184,8 @@ class Recovery(ResultKind):
             acquisition.cameras[0].trajectory.at(t).position,
             acquisition,
             dict(zip([band.name for band in acquisition.bands], bands, strict=True)),
+            folder=None if opened is None else opened.folder,
+            files=() if opened is None else tuple(opened.names),
         )
 
     def draw(self, result: LineOfSight, axes: Sequence[Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,6 +24,7 @@ from sightline.io.results.line_of_sight import write_json
 from sightline.io.results.poses import POSES, SIGMAS, in_table_axes, read_pose_covariance
 from sightline.io.results.rig import write_registered
 from sightline.io.results.sequence import write_sequence_result
+from sightline.io.results.sequence_exports import frame_features
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.schema import CubeSection
 from sightline.kinds.kind import (
@@ -47,6 +49,9 @@ from sightline.version import VERSION
 
 #: m from the origin beyond which positions are Earth-fixed.
 _EARTH_FIXED = 6e6
+#: m from it beyond which they are fixed to some body.
+_BODY_FIXED = 1e6
+FOOTPRINTS = "footprints.geojson"
 _CUBE_FILES = ("bands/*", "cube.tif", "cube.dat", "cube.hdr", "cube.nc", "cube.zarr/*")
 
 
@@ -57,7 +62,7 @@ class Poses(ResultKind):
     table, index = "poses", ("frame",)
     files = (
         "poses.csv", "covariance.npz", "frames_used.csv", "colmap/*", "reconstruction.json", "opk.csv",
-        "ypr.csv", "geo.txt", "footprints.geojson", "rig.csv", "rig_cameras.json",
+        "ypr.csv", "geo.txt", FOOTPRINTS, "rig.csv", "rig_cameras.json",
         "rig_assignments.json", "registered.tif", *_CUBE_FILES, SUMMARY,
         REPORT,
     )  # fmt: skip
@@ -127,12 +132,13 @@ class Poses(ResultKind):
         )
         known = np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1)
         summary = self.summary(result)
-        fixed = bool(known.any() and np.linalg.norm(place[known], axis=1).min() > _EARTH_FIXED)
+        least = float(np.linalg.norm(place[known], axis=1).min()) if known.any() else 0.0
+        fixed, far = least > _EARTH_FIXED, least > _BODY_FIXED  # far and not fixed: axes of another body
         sigma = np.column_stack([np.asarray(table[key], dtype=np.float64) for key in SIGMAS[3:]])
         return Exported(
             str(summary.get("name", "")), np.asarray(table["t"], dtype=np.float64)[known], turn[known],
             sigma[known], summary.get("epoch"), "ITRF" if fixed else None, place[known],
-            flight=True,
+            flight=True, **({} if far and not fixed else _for_catalogues(result, summary)),
         )  # fmt: skip
 
     def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
@@ -299,6 +305,21 @@ class Cube(ResultKind):
         axes[0].bar(np.arange(len(result.names)), result.passed)
         axes[0].set_xticks(np.arange(len(result.names)), result.names, rotation=60, ha="right")
         axes[0].set_ylabel("share of the ground passed over (1)")
+
+
+def _for_catalogues(result: SequencePoses, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What `Exported` holds of a flight besides poses: outlines of the frames, the files, the map."""
+    if not isinstance(result.origin, OpenedFolder):
+        problem = sequence_of(result).problem
+        return {"footprints": tuple(frame_features(problem, result.poses, result.source))}
+    place, names = result.origin.folder, result.origin.names
+    features = []
+    if FOOTPRINTS in names:
+        with foreign_errors(place / FOOTPRINTS, "holds no footprints", "run `sightline georeference` again"):
+            features = json.loads(result.origin.text(FOOTPRINTS))["features"]
+    return {
+        "footprints": tuple(features), "folder": place, "files": tuple(names), "cube": summary.get("cube"),
+    }  # fmt: skip
 
 
 def _plan() -> Any:

@@ -99,28 +99,39 @@ def write_footprints(
     InputError
         If the world is flat: it has no longitude and latitude.
     """
+    features = footprint_features(names, edges, radii, properties)
+    whole_text(path, json.dumps({"type": "FeatureCollection", "features": features}))
+    return len(features)
+
+
+def footprint_features(
+    names: Sequence[str],
+    edges: Array,
+    radii: tuple[float, float] | None = WGS84,
+    properties: Mapping[str, Sequence[Any]] | None = None,
+) -> list[dict[str, Any]]:
+    """The features that `write_footprints` writes; parameters as there."""
     if radii is None:
         raise InputError("footprints need longitude and latitude; give [world] an origin, or another frame")
     features = []
     for k, name in enumerate(names):
         if not np.isfinite(edges[k]).all():
             continue
-        rings = rings_of(np.degrees(to_geodetic(edges[k], radii)[:, :2]))
-        geometry = (
-            {"type": "Polygon", "coordinates": rings}
-            if len(rings) == 1
-            else {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
-        )
         more = {key: values[k] for key, values in (properties or {}).items()}
-        features.append(
-            {
-                "type": "Feature",
-                "properties": {"frame": name, **more},
-                "geometry": geometry,
-            }
-        )
-    whole_text(path, json.dumps({"type": "FeatureCollection", "features": features}))
-    return len(features)
+        outline = np.degrees(to_geodetic(edges[k], radii)[:, :2])
+        features.append(feature_of(outline, {"frame": name, **more}))
+    return features
+
+
+def feature_of(lonlat: Array, properties: Mapping[str, Any]) -> dict[str, Any]:
+    """A GeoJSON feature of an outline (k, 2), degrees: a polygon, or two where it is cut at 180 degrees."""
+    rings = rings_of(lonlat)
+    geometry = (
+        {"type": "Polygon", "coordinates": rings}
+        if len(rings) == 1
+        else {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
+    )
+    return {"type": "Feature", "properties": dict(properties), "geometry": geometry}
 
 
 def rings_of(lonlat: Array) -> list[list[list[float]]]:

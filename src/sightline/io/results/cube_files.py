@@ -251,13 +251,11 @@ def is_zarr_file(name: str) -> bool:
 def envi_header(grid: CubeGrid, layout: BandLayout) -> str:
     """Header of the plain file: size, type, place on the map, wavelengths."""
     rows, columns = grid.shape
-    west, north, gsd = grid.west, grid.north, grid.gsd
-    place = f"1, 1, {west!r}, {north!r}, {gsd!r}, {gsd!r}"
     lines = [
         "ENVI", "description = {Sightline: cube of a frame sequence}", f"samples = {columns}",
         f"lines = {rows}", f"bands = {len(layout)}", "header offset = 0", "file type = ENVI Standard",
         "data type = 4", "interleave = bsq", "byte order = 0", "data ignore value = nan",
-        f"map info = {{{_map_name(grid)}, {place}{_map_end(grid)}, units=Meters}}",
+        f"map info = {{{map_info(grid)}}}",
     ]  # fmt: skip
     wkt = crs_wkt(grid)
     if wkt:
@@ -267,6 +265,13 @@ def envi_header(grid: CubeGrid, layout: BandLayout) -> str:
         lines.append(f"wavelength = {{{', '.join(f'{nm:.6g}' for nm in layout.wavelength_nm)}}}")
     lines.append(f"band names = {{{', '.join(layout.names)}}}")
     return "\n".join(lines) + "\n"
+
+
+def map_info(grid: CubeGrid) -> str:
+    """Where a map lies, as ENVI writes it."""
+    west, north, gsd = grid.west, grid.north, grid.gsd
+    place = f"1, 1, {west!r}, {north!r}, {gsd!r}, {gsd!r}"
+    return f"{_map_name(grid)}, {place}{_map_end(grid)}, units=Meters"
 
 
 def _map_name(grid: CubeGrid) -> str:

@@ -52,7 +52,9 @@ from sightline.io.formats.spice_files import (
 )
 from sightline.io.formats.tables import write_columns
 from sightline.io.names import file_stems
+from sightline.io.results.catalog import strip_features, write_geoparquet, write_stac
 from sightline.io.results.line_of_sight import AEM_FRAMES, on_another_body
+from sightline.io.results.map_lookup import write_lookup
 from sightline.products.rpc import Rpc, fit_rpc
 from sightline.version import VERSION
 from sightline.writing import whole_raster, whole_text
@@ -98,6 +100,14 @@ class Exported:
         By band; with the recovered motion and statics.
     flight : bool
         Whether it is poses of a flight, which have no acquisition.
+    footprints : tuple of dict
+        GeoJSON features of the frames of a flight, where they have a place on a body.
+    folder : Path or None
+        Where the result lies, if it does.
+    files : tuple of str
+        Names of its files, below it.
+    cube : mapping or None
+        Entry ``cube`` of the summary of a flight.
     """
 
     name: str
@@ -110,6 +120,22 @@ class Exported:
     acquisition: Acquisition | None = None
     cameras: Mapping[str, PushbroomCamera] = field(default_factory=dict)
     flight: bool = False
+    footprints: tuple[dict[str, Any], ...] = ()
+    folder: Path | None = None
+    files: tuple[str, ...] = ()
+    cube: Mapping[str, Any] | None = None
+
+    def covers(self, to: str) -> tuple[tuple[dict[str, Any], ...], tuple[float, float]]:
+        """GeoJSON features of what is covered, and the radii of the body."""
+        if not self.flight:
+            acquired, radii = self.needs_body(to)
+            return tuple(strip_features(self.cameras, acquired.surface, radii)), radii
+        if not self.footprints:
+            raise InputError(
+                f"--to {to} needs a place on the Earth, which this flight has not: give [world] an "
+                "origin, or another frame, and run `sightline georeference` again"
+            )
+        return self.footprints, WGS84
 
     def needs_cameras(self, to: str) -> Acquisition:
         """The acquisition, where a form holds cameras of a strip.
@@ -122,7 +148,8 @@ class Exported:
         if self.flight:
             raise InputError(
                 f"--to {to} holds the camera of a strip; poses of a flight give quaternions, and in "
-                "Earth-fixed axes aem and oem; its folder holds models of its camera for other programs"
+                "Earth-fixed axes aem and oem, on the Earth stac and geoparquet; its folder holds models of its "
+                "camera for other programs"
             )
         if self.acquisition is None:
             raise InputError(
@@ -445,6 +472,44 @@ def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[s
     return {"bands": bands, "axes": "samples, lines of each band: with the motion less without it"}
 
 
+def _stac(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``stac.json``: what is covered and when, and the files of the result."""
+    features, radii = exported.covers("stac")
+    if abs(radii[0] / WGS84[0] - 1.0) > 1e-3:
+        raise InputError(
+            "--to stac gives longitudes and latitudes of the Earth, and this is another body; give "
+            "--to geoparquet"
+        )
+    if exported.epoch is None:
+        raise InputError(
+            "--to stac gives times in UTC: add the epoch (UTC of t = 0) to the file and run the command again"
+        )
+    span = float(exported.t.min()), float(exported.t.max())
+    return write_stac(
+        folder, exported.name, features, span, exported.epoch, exported.folder, exported.files, exported.cube
+    )
+
+
+def _geoparquet(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``footprints.parquet``: a row for each band or frame."""
+    features, radii = exported.covers("geoparquet")
+    return write_geoparquet(folder / "footprints.parquet", features, radii, exported.epoch)
+
+
+def _igm(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``BAND_igm`` and ``BAND_glt``: where each pixel lies on a map, and which pixel each place shows."""
+    acquired, radii = exported.needs_body("igm")
+    bands = []
+    for name, stem in _stems(exported).items():
+        bands.append(
+            {"name": name, **write_lookup(folder, stem, exported.cameras[name], acquired.surface, radii)}
+        )
+    return {
+        "bands": bands,
+        "axes": "easting, northing, height (m) of each pixel; sample, line from 1 of each place",
+    }
+
+
 def _plane(camera: PushbroomCamera, name: str, to: str) -> tuple[Any, float]:
     """Focal plane of CSM for a camera, and px by which it differs."""
     plane, residual = nearest_plane(camera.detector)
@@ -617,6 +682,9 @@ EXPORTS: dict[str, Callable[[Path, Exported, tuple[Path, ...]], dict[str, Any]]]
     "shifts": _shifts,
     "ck": _ck,
     "isis": _isis,
+    "stac": _stac,
+    "geoparquet": _geoparquet,
+    "igm": _igm,
 }
 #: Forms that take SPICE kernels.
 WITH_KERNELS: tuple[str, ...] = ("ck", "isis")

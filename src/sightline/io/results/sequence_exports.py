@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from sightline.geometry.checks import frozen
 from sightline.geometry.earth import from_geodetic, local_axes, to_geodetic
 from sightline.io.formats.angle_tables import OPK, YPR, AngleTable, opk_of_camera, write_angles, ypr_of_body
 from sightline.io.formats.colmap import write_colmap_model
-from sightline.io.formats.footprints import ground_outlines, write_footprints
+from sightline.io.formats.footprints import footprint_features, ground_outlines, write_footprints
 from sightline.io.formats.odm import write_geo
 from sightline.io.formats.opensfm import write_opensfm
 from sightline.io.formats.reconstruction import Reconstruction
@@ -298,12 +299,20 @@ def _write_places(
     horizontal = np.sqrt(variance[:, :2].mean(axis=1))
     lonlat = np.column_stack([np.degrees(geodetic[:, :2]), geodetic[:, 2]])
     write_geo(folder / "geo.txt", names, lonlat, np.column_stack([horizontal, np.sqrt(variance[:, 2])]))
+    write_footprints(folder / "footprints.geojson", *_outlines(problem, poses, source))
+
+
+def _outlines(
+    problem: SequenceProblem, poses: FramePoses, source: Sequence[str]
+) -> tuple[tuple[str, ...], Array, tuple[float, float] | None, dict[str, list[Any]]]:
+    """What `write_footprints` and `footprint_features` take."""
     detector, ground = poses.detector(problem.detector), level_ground(problem, poses)
     edges = ground_outlines(detector, problem.mount, poses.position, poses.world_from_body, ground)
-    write_footprints(
-        folder / "footprints.geojson",
-        problem.frames,
-        edges,
-        radii,
-        {"t": problem.t.tolist(), "source": list(source)},
-    )
+    return problem.frames, edges, problem.radii, {"t": problem.t.tolist(), "source": list(source)}
+
+
+def frame_features(
+    problem: SequenceProblem, poses: FramePoses, source: Sequence[str]
+) -> list[dict[str, Any]]:
+    """GeoJSON features of what each frame shows; none in a flat world."""
+    return [] if problem.radii is None else footprint_features(*_outlines(problem, poses, source))
