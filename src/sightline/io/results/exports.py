@@ -148,8 +148,8 @@ class Exported:
         if self.flight:
             raise InputError(
                 f"--to {to} holds the camera of a strip; poses of a flight give quaternions, and in "
-                "Earth-fixed axes aem and oem, on the Earth stac and geoparquet; its folder holds models of its "
-                "camera for other programs"
+                "Earth-fixed axes aem and oem, on the Earth stac and geoparquet; its folder holds models of "
+                "its camera for other programs"
             )
         if self.acquisition is None:
             raise InputError(
