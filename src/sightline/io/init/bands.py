@@ -169,7 +169,7 @@ def _known(preset: Preset, name: str) -> str:
             return known
     raise InputError(
         f"--bands {name!r} is no band of the preset; allowed: {', '.join(preset.lags)}; {_LEFT_OUT} leaves a "
-        "band out"
+        f"band out{'; ' if preset.without else ''}{preset.without}"
     )
 
 

@@ -41,6 +41,8 @@ class Preset:
         Whether bands are known to see the ground after the first one, and not before it.
     epoch : str
         UTC of line 0 of the first band; empty where it is not known.
+    without : str
+        Bands of the instrument that it has not, and why.
     """
 
     instrument: str
@@ -56,6 +58,7 @@ class Preset:
     wide: Mapping[str, int] = field(default_factory=dict)
     signed: bool = False
     epoch: str = ""
+    without: str = ""
 
     def wide_of(self, band: str) -> int:
         """How many times as wide as `pixel` those of a band are."""
@@ -85,6 +88,7 @@ PRESETS = {
             "line period 1.5 ms, speed 10 m a line: rounded from the 6.64 km/s that a circular orbit of this "
             "altitude has over the ground (Kepler's third law)",
         ),
+        without="bands of 20 and 60 m: their lags are not among the sources of this preset",
     ),
     "pleiades": Preset(
         instrument="Pleiades HiRI, panchromatic and four colours in sensor geometry (levels L0, L1A)",
@@ -109,8 +113,30 @@ PRESETS = {
 }
 
 
+#: Instruments without a preset, by words of their names, and what would do.
+_LACKING = {
+    (
+        "landsat",
+        "oli",
+    ): "when each band and module of Landsat's OLI sees the ground in sensor geometry (L0, L1R)",
+    ("zy-3", "zy3", "ziyuan"): "times of the lines of ZY-3's cameras and where their detectors look",
+    ("aster",): "lags of ASTER's bands in sensor geometry (level 1A)",
+}
+_HIRISE = "HiRISE needs no preset: give its EDRs, `sightline init CHANNELS... --out DIR`"
+
+
 def preset(name: str) -> Preset:
-    """A preset by its name; InputError lists what there is."""
+    """A preset by its name; InputError lists what there is, and what is lacking of known instruments."""
+    asked = name.casefold()
+    if "hirise" in asked:
+        raise InputError(f"--preset {name!r}: {_HIRISE}")
+    for called, what in _LACKING.items():
+        if any(word in asked for word in called):
+            raise InputError(
+                f"--preset {name!r}: no published source was found of {what}; give them yourself: `sightline "
+                "init --template strip`, look_ahead and first_line_time of each [[band]]; presets are "
+                f"{', '.join(PRESETS)}"
+            )
     if name not in PRESETS:
         raise InputError(f"--preset {name!r} is not known; allowed: {', '.join(PRESETS)}")
     return PRESETS[name]
