@@ -237,7 +237,7 @@ def frame_bands(
     mosaic_nm : (rows, columns), optional
         Pattern that repeats over the frame.
     channel_nm : sequence of float
-        One per channel.
+        One per channel; NaN where nothing says it.
     """
     lines = shape[0]
     if mosaic_nm is not None:
@@ -248,7 +248,8 @@ def frame_bands(
         nm = np.array(channel_nm if len(channel_nm) else [np.nan], dtype=np.float64)
         period, phase, channel = (1, 1), np.zeros((len(nm), 2), dtype=np.int64), np.arange(len(nm))
     order = np.argsort(nm, kind="stable")
-    names = tuple("all light" if np.isnan(v) else f"{v:.1f} nm" for v in nm[order])
+    unknown = [f"band {k + 1}" for k in range(len(nm))] if len(nm) > 1 else ["all light"]
+    names = tuple(unknown[k] if np.isnan(nm[k]) else f"{nm[k]:.1f} nm" for k in order)
     return BandLayout(
         names,
         frozen(nm[order]),

@@ -658,3 +658,67 @@ def test_a_focal_length_of_exif_is_where_estimate_begins_as_well_as_it_is_known(
         focal, sigma, words = _focal_length(camera, None, frames, (300, 400))
         assert focal == pytest.approx(500.0, rel=1e-4) and sigma == pytest.approx(expected, rel=1e-4)
         assert "10 %" in words[0]
+
+
+def coloured(folder: Path, counts, colours=None):
+    """The flight with TIFFs of so many bands, each its own pixels."""
+    import rasterio
+
+    made = flight()
+    path = made.write(folder)
+    for k, count in enumerate(counts):
+        name = f"f{k}.tif"
+        pixels = np.random.default_rng(k).integers(1, 200, (count, *SHAPE)).astype(np.uint8)
+        with rasterio.open(
+            folder / name, "w", driver="GTiff", width=SHAPE[1], height=SHAPE[0], count=count, dtype="uint8"
+        ) as image:
+            image.write(pixels)
+            if colours is not None:
+                image.colorinterp = colours
+        made.frames[k][2] = name
+    made.write(folder)
+    return path, pixels
+
+
+def test_photographs_of_three_bands_are_red_green_and_blue_unless_said_otherwise(tmp_path):
+    path, last = coloured(tmp_path / "a", (3,) * 6)
+    problem = load_sequence(path)
+    assert problem.channel_nm == (650.0, 550.0, 470.0)
+    window = (0, SHAPE[0]), (0, SHAPE[1])
+    for k in range(3):
+        np.testing.assert_array_equal(problem.channels[5][k].read(*window), last[k])
+    # matching has their mean
+    np.testing.assert_allclose(problem.sources[5].read(*window), last.mean(axis=0), rtol=1e-6)
+    path.write_text(path.read_text().replace("[camera]", "[camera]\nchannel_nm = [1.0e3, 560.0, 660.0]"))
+    assert load_sequence(path).channel_nm == (1e3, 560.0, 660.0)
+
+
+def test_alpha_is_no_colour_and_bands_without_a_name_are_counted(tmp_path):
+    from rasterio.enums import ColorInterp as Colour
+
+    path, _ = coloured(tmp_path / "a", (4,) * 6, (Colour.red, Colour.green, Colour.blue, Colour.alpha))
+    assert load_sequence(path).channel_nm == (650.0, 550.0, 470.0)
+    path, _ = coloured(tmp_path / "b", (5,) * 6)
+    problem = load_sequence(path)
+    assert np.isnan(problem.channel_nm).all() and len(problem.channels[0]) == 5
+    said = str(describe_sequence(read_sequence(path)))
+    assert "5 bands in each image (channel_nm names them)" in said
+    # unlike images, and those of one band and alpha, are one grey map
+    for name, counts in (("c", (3, 3, 3, 3, 3, 1)), ("d", (2,) * 6)):
+        path, _ = coloured(tmp_path / name, counts)
+        assert load_sequence(path).channel_nm == ()
+
+
+def test_positions_may_be_those_of_an_antenna(tmp_path):
+    """Nose north: body x is north, y east, z down; the antenna is 0.2 m ahead, 0.1 right, 1.5 above."""
+    made = flight()
+    made.toml = made.toml.replace("[camera]", "[camera]\nlever_arm = [0.2, 0.1, -1.5]")
+    problem = load_sequence(made.write(tmp_path))
+    expected = [[-0.1, 5.0 * k - 0.2, 98.5] for k in range(6)]
+    np.testing.assert_allclose(problem.images.position, expected, atol=1e-12)
+    swing = 0.03 * np.sqrt(0.2**2 + 0.1**2 + 1.5**2)
+    np.testing.assert_allclose(problem.known.position, [np.hypot([1.0, 1.5, 2.0], swing)] * 6)
+    bare = made.toml.replace('attitudes = "attitudes.csv"\n', "")
+    (tmp_path / "sequence.toml").write_text(bare)
+    with pytest.raises(FormatError, match="lever_arm needs attitudes, and there are none"):
+        load_sequence(tmp_path / "sequence.toml")

@@ -161,6 +161,8 @@ def _filter_words(problem: SequenceProblem) -> str:
     if problem.mosaic_nm is not None:
         rows, columns = problem.mosaic_nm.shape
         return f"filter: a mosaic of {rows} x {columns}"
+    if problem.channel_nm and np.isnan(problem.channel_nm).any():
+        return f"no filter said: {len(problem.channel_nm)} bands in each image (channel_nm names them)"
     if problem.channel_nm:
         names = ", ".join(f"{nm:g} nm" for nm in problem.channel_nm)
         return f"filter: {names} in the bands of each image"

@@ -21,6 +21,7 @@ from sightline.geometry.checks import read_only
 from sightline.geometry.earth import from_geodetic, to_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Dem, Surface
+from sightline.imaging.rasters import open_raster
 from sightline.io.acquisition.acquired import InputFolder, input_files, sha256
 from sightline.io.acquisition.ground import exchanged_words, raster_corners, surface_of
 from sightline.io.acquisition.schema import WorldSection
@@ -29,7 +30,7 @@ from sightline.io.config import read_toml, validate
 from sightline.io.formats.envi import read_envi_wavelengths
 from sightline.io.formats.gps_places import exchanged
 from sightline.io.sequence.control import control_of, placed_by_control
-from sightline.io.sequence.frame_files import FrameFile
+from sightline.io.sequence.frame_files import FrameFile, Probe
 from sightline.io.sequence.frames import FrameList, excluded, probe_frames, read_frames, shape_of
 from sightline.io.sequence.matched_rows import is_local, radii_of
 from sightline.io.sequence.models import model_attitudes
@@ -58,6 +59,10 @@ _FILM_SIGMA = 0.1
 _FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
 #: Share of the frames whose middle may look beside the ground before a warning.
 _BESIDE_SHARE = 0.02
+
+
+#: nm; middles of what the bands of a colour photograph see: red, green, blue.
+_RGB_NM = (650.0, 550.0, 470.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +151,11 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
     shape = camera.shape or shape_of(probes)
     if shape is None:
         raise FormatError(f"{frames.path}: no frame can be read: {probes[0].reason}; check the files")
-    channels = len(camera.channel_nm or ())
-    reasons = excluded(frames, probes, shape, channels)
+    channel_nm = tuple(camera.channel_nm or ())
+    if rig is None and camera.wavelength_nm is None and camera.mosaic_nm is None and not channel_nm:
+        channel_nm = _usual_channels(frames, probes)
+    channels = len(channel_nm)
+    reasons = excluded(frames, probes, shape, len(camera.channel_nm or ()))
     detector, focal_sigma, lens_words = sequence_detector(camera, files, frames, shape)
     _check_mosaic(camera, shape, path)
     _check_readout(camera, frames, path)
@@ -173,7 +181,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         overlap=file.subset.overlap,
         excluded=reasons,
         mosaic_nm=None if camera.mosaic_nm is None else read_only(np.array(camera.mosaic_nm)),
-        channel_nm=tuple(camera.channel_nm or ()),
+        channel_nm=channel_nm,
         channels=tuple(
             tuple(FrameFile(p, shape, k) for k in range(1, channels + 1))
             for p in (frames.files if channels else ())
@@ -199,6 +207,23 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used),
         (*wide_words(detector), *doubts), () if rig is None else rig.files,
     )  # fmt: skip
+
+
+def _usual_channels(frames: FrameList, probes: Sequence[Probe]) -> tuple[float, ...]:
+    """nm of the bands of frames of which nothing says it: of three, red, green, blue; of more, not known.
+
+    None where the frames differ in the number of their bands, or hold one (and perhaps alpha): panchromatic.
+    """
+    good = [(path, found.bands) for path, found in zip(frames.files, probes, strict=True) if not found.reason]
+    counts = {bands for _, bands in good}
+    if len(counts) != 1 or counts <= {1, 2}:
+        return ()
+    (count,) = counts
+    with open_raster(good[0][0]) as dataset:
+        colours = [getattr(one, "name", "") for one in dataset.colorinterp]
+    if count == len(_RGB_NM) or (count == len(_RGB_NM) + 1 and colours[-1] == "alpha"):
+        return _RGB_NM
+    return (float("nan"),) * count
 
 
 def _rig_cameras(

@@ -20,7 +20,7 @@ from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.sequence.attitudes import given_attitudes
 from sightline.io.sequence.frames import FrameList
 from sightline.io.sequence.matched_rows import GivenRows, along, radii_of, slerp_along
-from sightline.io.sequence.models import given_poses
+from sightline.io.sequence.models import GivenPoses, given_poses
 from sightline.io.sequence.positions import given_positions
 from sightline.io.sequence.schema import SequenceFile
 from sightline.photogrammetry.block.point_priors import ControlPoints, level_axes
@@ -81,6 +81,13 @@ def starting_poses(
     else:
         attitude, attitude_sigma = slerp_along(frames.t, turned), _sigma_of(turned, count)
         _say_how_many(warnings, attitude_sigma, "attitude")
+    arm = np.array(file.first_camera.lever_arm)
+    if arm.any():
+        _refuse_arm(files.toml, placed, turned, model)
+        position = position - attitude.apply(arm)
+        # what a wrong attitude moves the camera by, about any axis
+        swing = np.linalg.norm(arm) * np.nan_to_num(attitude_sigma, posinf=0.0).max(axis=1, keepdims=True)
+        position_sigma = np.hypot(position_sigma, swing)
     order = np.arange(count)
     return StartingPoses(
         Images(np.zeros(count, dtype=np.intp), order, frames.t, position, attitude),
@@ -93,6 +100,20 @@ def starting_poses(
         ),
         tuple(warnings),
     )
+
+
+def _refuse_arm(
+    path: Path, placed: GivenRows | None, turned: GivenRows | None, model: GivenPoses | None
+) -> None:
+    """FormatError where a lever arm has nothing that it could move, or nothing says where it points."""
+    if model is not None:
+        raise FormatError(
+            f"{path}: [camera] lever_arm is of positions of an antenna; those of a model of another program "
+            "are the camera's own: leave it out"
+        )
+    if placed is None or turned is None:
+        lacks = "positions" if placed is None else "attitudes"
+        raise FormatError(f"{path}: [camera] lever_arm needs {lacks}, and there are none; give them")
 
 
 def check_places(path: Path, known: RoughPoses, control: ControlPoints | None, height_sigma: float) -> None:

@@ -111,6 +111,9 @@ class SequenceHeader(DatedSection):
     )
 
 
+_Lever = Annotated[float, Within(-1e3, 1e3, "m", "are these mm?")]
+
+
 class SequenceCamera(FrameCameraSection):
     """``[camera]``: of all frames; its lens, how it sits in the body, what each pixel sees."""
 
@@ -131,6 +134,10 @@ class SequenceCamera(FrameCameraSection):
     )
     readout_time: ReadoutForward = Field(
         default=0.0, description="s from the exposure of line 0 to that of the last line (rolling shutter)"
+    )
+    lever_arm: tuple[_Lever, _Lever, _Lever] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="m, body axes: from the camera to the point that positions are of, such as an antenna",
     )
 
     @field_validator("mosaic_nm")
