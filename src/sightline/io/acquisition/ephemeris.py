@@ -151,8 +151,8 @@ def read_attitude(
         apart = float(np.sqrt((sensed.apart**2).mean()))
         return GivenAttitude(
             sensed.t, sensed.inertial_from_body.as_quat(), "EME2000", "EARTH",
-            words="attitudes of Sentinel-1 (GM2000), brought to the axes of its rates: x ahead, y right, z the "
-            f"antenna's look; rates and quaternions agree to {apart:.2g} rad/s (rms)",
+            words="attitudes of Sentinel-1 (GM2000), brought to the axes of its rates: x ahead, y right, z "
+            f"the antenna's look; rates and quaternions agree to {apart:.2g} rad/s (rms)",
             doubt=f"{path.name}: {sensed.doubt}" if sensed.doubt else "",
         )  # fmt: skip
     if sbet.is_sbet(path):
