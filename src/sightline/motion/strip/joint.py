@@ -71,6 +71,8 @@ class JointPrior:
         the memory of `angles`.
     own_precision : (S, S) or None
         Of the constants of attitude sensors, unknowns beside the static parameters.
+    ample : JointPrior or None
+        Of motions of ample size, alike on all axes, by which hidden directions are completed; None: this one.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -81,6 +83,7 @@ class JointPrior:
     apart: tuple[SplitPrior, SplitPrior, SplitPrior] | None = None
     own_precision: Array | None = None
     drift_sigma: tuple[float, float, float] = DRIFT_SIGMA
+    ample: JointPrior | None = None
 
     @property
     def border_precision(self) -> Array:
@@ -239,23 +242,34 @@ class JointEstimate:
         -----
         A seed h is completed to the hidden direction h + x by the least informative x:
         ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
+        P is that of ample motions, alike on all axes: one that holds an axis still, as a fitted one may,
+        would rather have the images see something than let that axis move.
         """
-        data, grid = self._images, self.grid
-        shapes = np.stack([np.ones(grid.count), np.linspace(-1.0, 1.0, grid.count)], axis=1)
         own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
-        seeds = np.zeros((grid.count, data.block, len(own)))
-        for k, (shape, axis) in enumerate(own):
-            seeds[:, axis, k] = shapes[:, shape]
-        h = seeds.reshape(-1, len(own))
-        if self.ties is None:
+        return _unmixed(self._completed[:, :, [3 * shape + axis for shape, axis in own]], own, self._seeds)
+
+    @property
+    def _seeds(self) -> Array:
+        """(count, 2): a constant, and a linear drift."""
+        count = self.grid.count
+        return np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)
+
+    @cached_property
+    def _completed(self) -> Array:
+        """(count, 3, 6) rad: a constant and a drift of each axis, completed to what images see least."""
+        data, count = self._images, self.grid.count
+        seeds = np.zeros((count, data.block, 6))
+        for k in range(6):
+            seeds[:, k % 3, k] = self._seeds[:, k // 3]
+        h = seeds.reshape(-1, 6)
+        if self.ties is None and self._prior.ample is None:
             factor = self._factor(constants=False)
         else:  # what sensors see of a motion does not make it less hidden from the images
-            alone = replace(self._prior, own_precision=None)
+            alone = self._prior.ample or replace(self._prior, own_precision=None)
             factor = _factor(_banded_factor(data, alone), data, alone, constants=False)
         top, bottom = data.times(h)
         x, _ = factor.solve(-top, -bottom)
-        completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
-        return _unmixed(completed, own, shapes)
+        return np.asarray((h + x).reshape(count, data.block, -1)[:, :3])
 
     def relative_covariance(
         self, t: Array, directions: Array, scale: Array, turn: Array | None = None
