@@ -256,7 +256,7 @@ class TestHiddenDrifts:
         roll, _, yaw = estimate.hidden_directions((0, 1, 2))[:, :, 5].T
         inside = np.abs(t) < 0.8 * t[-1]
         bend, rate = np.polyfit(t[inside], roll[inside], 2)[0], np.polyfit(t[inside], yaw[inside], 1)[0]
-        # roll = -(V / 2H) times the rate of yaw, t^2 (theory 7, equation 22), V / H = .01 per s; the jitter of
+        # roll = -(V / 2H) t^2 times the rate of yaw (theory 7, equation 22), V / H = .01 per s; the jitter of
         # this strip leaves a few per cent of the drift to be seen
         assert bend == pytest.approx(-0.005 * rate, rel=0.1)
 
