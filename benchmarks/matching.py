@@ -7,6 +7,7 @@ shift zero.
 
     python benchmarks/matching.py            the whole table, several minutes
     python benchmarks/matching.py --quick    fewer windows and cases, under a minute
+    python benchmarks/matching.py --jitter   only pairs with jitter of every line, by `sightline match`
 
 Columns: rms error along lines and columns (errors above 1 px are counted as lost and left out); the rms over
 both axes divided by the gradient bound, by the coherence bound, and by the coherence bound with aliasing as
@@ -312,21 +313,111 @@ def neighbours(size: int) -> None:
             )
 
 
+def line_motion(lines: int, seed: int) -> Array:
+    """px of each line, lines and columns: slow motion and microvibration, .4 px rms."""
+    rng, t = np.random.default_rng([seed, 7]), np.arange(lines)
+    motion = np.zeros((lines, 2))
+    for period, size in ((900.0, 0.4), (310.0, 0.25), (130.0, 0.2), (61.0, 0.1), (33.0, 0.05)):
+        motion += size * np.sin(2 * np.pi * t[:, None] / period + rng.uniform(0, 2 * np.pi, 2))
+    return motion
+
+
+def mean_motion(motion: Array, lines: Array, height: int) -> Array:
+    """Means over the lines of windows: line i of the second image shows what lies motion[i] before it."""
+    out, rows = np.zeros((len(lines), 2)), np.arange(len(motion))
+    for offset in np.arange(height) - 0.5 * (height - 1):
+        at = lines + offset
+        for _ in range(30):
+            at = lines + offset + np.interp(at, rows, motion[:, 0])
+        out += np.stack([np.interp(at, rows, motion[:, k]) for k in (0, 1)], axis=1) / height
+    return out
+
+
+def row_means(points: Array, shifts: Array, good: Array) -> tuple[Array, Array]:
+    """Lines, and the means of the shifts of their windows."""
+    lines = np.unique(points[good, 0])
+    return lines, np.array([shifts[good & (points[:, 0] == line)].mean(axis=0) for line in lines])
+
+
+def jitter(size: int, seeds: int, window: tuple[int, int] = (10, 100)) -> None:
+    """Whole pairs whose second image jitters line by line: rms of row means, NEES of single shifts, CPU."""
+    from sightline.applications.raster_matches import match_rasters
+
+    print("AROSICS is not run: it needs the Python bindings of GDAL itself, built against the system")
+    for cross in (False, True):
+        print(f"\nJitter, {size} x {size} px, {'cross' if cross else 'same'} band, SNR 100, {window} windows")
+        print("  method                  rms of row means y, x     of windows y, x      NEES   lost%   CPU s")
+        for seed in range(seeds):
+            motion = line_motion(size, seed)
+            a, b = shifted_pair((size, size), (0.0, 0.0), snr=100, seed=seed, cross=cross, motion=motion)
+            begin = time.process_time()
+            found = match_rasters(ArrayImage(a), ArrayImage(b), threads=1)
+            seconds = time.process_time() - begin
+            points, kept = found.matches.a, found.matches.kept
+            error = (found.shift_px - mean_motion(motion, points[:, 0], window[0]))[kept]
+            inverse = np.linalg.inv(found.matches.covariance_px[kept])
+            nees = np.einsum("ni,nij,nj->n", error, inverse, error).mean() / 2.0
+            profile = found.row_means
+            there = np.isfinite(profile.shift_px).all(axis=1)
+            means = (profile.shift_px - mean_motion(motion, profile.place, window[0]))[there]
+            line_of_jitter("sightline match", means, error, 1.0 - kept.mean(), seconds, nees)
+            if seed:
+                continue
+            inner = points[(np.abs(points - 0.5 * (size - 1)) < 0.5 * size - 60).all(axis=1)]
+            for name in ("cv2 ECC", "cv2 PyrLK", "cv2 NCC + parabola", "skimage phase u100"):
+                begin = time.process_time()
+                shift = RIVALS[name](a, b, inner, window)
+                seconds = (time.process_time() - begin) * len(points) / len(inner)
+                truth = mean_motion(motion, inner[:, 0], window[0])
+                good = np.isfinite(shift).all(axis=1) & (np.abs(shift - truth) < 1.0).all(axis=1)
+                lines, mean = row_means(inner, shift, good)
+                means = mean - mean_motion(motion, lines, window[0])
+                line_of_jitter(name, means, (shift - truth)[good], 1.0 - good.mean(), seconds)
+
+
+def match_compiled(a: Array, b: Array) -> None:
+    """Have the kernels of `match_rasters` compiled before anything is timed."""
+    from sightline.applications.raster_matches import match_rasters
+
+    match_rasters(ArrayImage(a), ArrayImage(b), threads=1)
+
+
+def line_of_jitter(
+    name: str, means: Array, error: Array, lost: float, seconds: float, nees: float = np.nan
+) -> None:
+    """One line of the table of jitter."""
+    rows, single = (np.sqrt((e**2).mean(axis=0)) for e in (means, error))
+    said = f"{nees:6.3f}" if np.isfinite(nees) else "     -"
+    print(
+        f"  {name:22s}  {rows[0]:9.5f} {rows[1]:9.5f}           {single[0]:8.4f} {single[1]:8.4f}       "
+        f"{said}  {100 * lost:6.1f}  {seconds:6.2f}",
+        flush=True,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer windows and cases")
-    quick = parser.parse_args().quick
+    parser.add_argument("--jitter", action="store_true", help="only pairs with jitter of every line")
+    given = parser.parse_args()
+    quick = given.quick
     import cv2
 
     cv2.setNumThreads(1)
     a, b = shifted_pair((256, 512), (0.1, 0.2), snr=100, seed=0)  # compile before anything is timed
     sightline(a, b, grid_points((200, 400)) + MARGIN, (10, 100), whitening_of(a, b))
+    if given.jitter:
+        match_compiled(a, b)
+        jitter(2000, 2)
+        return
     if quick:
         accuracy(512, 1, 150, (100,), ((32, 32), (10, 100)))
         bias(512, 4, 150)
         speed(512)
         neighbours(512)
     else:
+        match_compiled(a, b)
+        jitter(2000, 2)
         accuracy(1024, 3, 300, (30, 100, 200), ((16, 16), (32, 32), (10, 100), (4, 100), (2, 100)))
         bias(1024, 8, 400)
         speed(1024)

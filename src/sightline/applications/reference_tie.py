@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,9 @@ from sightline.imaging.placed import PlacedImage
 from sightline.imaging.reduce import ReducedImage, reduced_pixels, whole_pixels
 from sightline.imaging.source import ImageSource
 from sightline.imaging.warp import WarpedImage, lattice_map
-from sightline.matching.coarse import learn_shifts
+from sightline.matching.coarse import CHANCE, common_shift, learn_shifts
 from sightline.matching.select import spread_subset
+from sightline.motion.measure.predict import MovingCamera, turned
 from sightline.products.cube_grid import MapSystem
 from sightline.result import Result, makes_result
 
@@ -42,6 +43,11 @@ SEARCH = 200.0
 #: Control points of a band and of a frame, at most: more would tie single lines, of which a window only shows
 #: the mean, and nothing is gained for what is slow. Frames of a flight that are tried.
 BAND_POINTS, FRAME_POINTS, IMAGES = 100, 30, 40
+#: px; lines and columns of windows of bands: a control point is of an instant, a window shows the mean of its
+#: lines, and microvibration moves them.
+BAND_WINDOW = (4, 100)
+#: px at the edge of the field; turns about the vertical that are tried where nothing is found without.
+TURNS = tuple(sign * px for px in range(8, 57, 8) for sign in (1, -1))
 #: Columns between places where the map to the reference is handed to the resampler.
 _SPACING = 8
 #: px beyond an image where its camera still has rays.
@@ -106,6 +112,7 @@ class _View:
     surface: Surface
     reference: PlacedImage
     system: MapSystem
+    given: Camera | None = None
 
     def ground(self, pixels: Array) -> Array:
         """World points (N, 3) m of pixels (N, 2) by the camera as given; NaN where it sees no ground."""
@@ -123,6 +130,11 @@ class _View:
         """Pixels (N, 2) of the reference; NaN where there is none."""
         places = self.system.places(self.ground(pixels))
         return self.reference.pixels(places[:, :2])
+
+    def turned(self, yaw: float) -> _View:
+        """The same, its camera turned by `yaw` (rad)."""
+        camera = turned(cast(MovingCamera, self.camera), np.array([0.0, 0.0, yaw]))
+        return replace(self, camera=camera, given=self.camera)
 
     def turn(self, pixel: Array) -> Array:
         """(2, 2); change of the reference's pixel with that of the image, about pixel (1, 2)."""
@@ -162,7 +174,7 @@ def tie_to_reference(
     search_px : float
         px of the images; furthest that cameras may be off.
     window : (int, int), optional
-        px of windows; (10, 100) of push-brooms, (32, 32) of frames.
+        px of windows; (4, 100) of push-brooms, (32, 32) of frames.
     points : int, optional
         Control points of an image, at most: the best known, evenly spread. 100 of a band, 30 of a frame.
     reference_sigma : float
@@ -198,17 +210,14 @@ def tie_to_reference(
         raise InputError(
             f"`reference_sigma` and `dem_sigma` are 0 m or more, got {reference_sigma:g} and {dem_sigma:g}"
         )
-    found: dict[int, RasterMatches] = {}
-    views: dict[int, _View] = {}
-    left: dict[int, tuple[type, str]] = {}
-    for number, (image, camera) in enumerate(zip(images, cameras, strict=True)):
-        progress("tying images to the reference", number, len(images))
-        view = _View(image, camera, dem, placed, system)
-        try:
-            found[number] = _matched(view, labels[number], window, search_px)
-            views[number] = view
-        except (EstimationError, GeometryError, InputError) as error:
-            left[number] = type(error), str(error)
+    views = [_View(image, camera, dem, placed, system) for image, camera in zip(images, cameras, strict=True)]
+    found, left = _all_matched(views, labels, window, search_px, progress)
+    if not found and all(kind is EstimationError for kind, _ in left.values()):
+        progress("trying cameras that are turned")
+        yaw = _turn_of(views[len(views) // 2], search_px)
+        if yaw is not None:
+            views = [view.turned(yaw) for view in views]
+            found, left = _all_matched(views, labels, window, search_px, progress)
     if not found:
         kind, reason = next(iter(left.values()))
         raise kind(f"{labels[next(iter(left))]}: {reason}")
@@ -261,6 +270,39 @@ def _checked(
     return reference, MapSystem(reference.crs, dem.radii)
 
 
+def _all_matched(
+    views: Sequence[_View],
+    names: Sequence[str],
+    window: tuple[int, int] | None,
+    search_px: float,
+    progress: Progress,
+) -> tuple[dict[int, RasterMatches], dict[int, tuple[type, str]]]:
+    """Matches of every image that can be tied, and why others cannot."""
+    found: dict[int, RasterMatches] = {}
+    left: dict[int, tuple[type, str]] = {}
+    for number, view in enumerate(views):
+        progress("tying images to the reference", number, len(views))
+        try:
+            found[number] = _matched(view, names[number], window, search_px)
+        except (EstimationError, GeometryError, InputError) as error:
+            left[number] = type(error), str(error)
+    return found, left
+
+
+def _turn_of(view: _View, search_px: float) -> float | None:
+    """rad; yaw by which a camera is off where nothing is found as it is given; None where no turn helps."""
+    half = 0.5 * (view.image.shape[1] - 1)
+    best, chosen = 0.0, None
+    for px in TURNS:
+        laid, _, _ = _laid(view.turned(px / half))
+        reach = min(search_px, float(max(view.image.shape))) / laid.reduced
+        found = common_shift(laid.a, laid.b, reach=reach)
+        # as many tries, as many chances
+        if found.by_chance * len(TURNS) < CHANCE and found.strength > best:
+            best, chosen = found.strength, px / half
+    return chosen
+
+
 def _is_band(camera: Camera) -> bool:
     """Whether lines are exposed one after the other."""
     return isinstance(camera, PushbroomCamera)
@@ -281,7 +323,7 @@ def _matched(view: _View, name: str, window: tuple[int, int] | None, search_px: 
         laid, b=WarpedImage(reduced_by, lattice_map(moved), laid.a.shape, _SPACING),
         exact=lambda p: (moved(p), reduced_by.shape),
     )  # fmt: skip
-    default = WINDOWS["pixels" if _is_band(view.camera) else "map"]
+    default = BAND_WINDOW if _is_band(view.camera) else WINDOWS["map"]
     found = match_laid(again, (name, "reference"), default, window, None, 0.0, silent)
     # the shifts found, and what the reference was moved by there
     shown = found.matches.b
@@ -365,7 +407,8 @@ def _points_of(
         # heights of points are heights of the pose
         tilt = np.maximum(tilt, 1.0)
     base = np.hypot(reference_sigma, dem_sigma * tilt)
-    return pixels, ground, base, matches.sigma_px[rows][known], pixels - shown, np.sqrt(area[known])
+    offset = pixels - (shown if view.given is None else view.given.project(ground))
+    return pixels, ground, base, matches.sigma_px[rows][known], offset, np.sqrt(area[known])
 
 
 def _tilt(view: _View, pixels: Array, ground: Array) -> Array:

@@ -65,7 +65,7 @@ def tie(
         typer.Option(
             "--window",
             metavar="LINES COLUMNS",
-            help="Of a window, px: 10 100 of bands, 32 32 of frames.",
+            help="Of a window, px: 4 100 of bands, 32 32 of frames.",
         ),
     ] = None,
     points: Annotated[

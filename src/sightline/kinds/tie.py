@@ -31,7 +31,7 @@ class ReferenceTies(ResultKind):
 
     def facts(self, result: ReferenceTie) -> Mapping[str, str]:
         """How many points, how far off."""
-        line, column = np.median(result.offset_px, axis=0)
+        line, column = np.nanmedian(result.offset_px, axis=0)
         return {
             "control points": f"{len(result.image)}",
             "cameras off by": f"{line:.2f}, {column:.2f} px (line, column, median)",

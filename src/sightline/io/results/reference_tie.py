@@ -78,7 +78,7 @@ def summarize_tie(
             {
                 "name": tie.names[number],
                 "points": int(rows.sum()),
-                "offset_px": np.median(tie.offset_px[rows], axis=0).tolist(),
+                "offset_px": np.nanmedian(tie.offset_px[rows], axis=0).tolist(),
                 "strength": matches.common_strength,
                 "sigma_px": np.median(tie.match_sigma_px[rows], axis=0).tolist(),
                 "windows": {
