@@ -198,7 +198,10 @@ class RigCameraSection(FrameCameraSection):
         default=None, description="nm, of its band; default what XMP says"
     )
     channel_nm: list[Wavelength] | None = Field(
-        default=None, max_length=MOST_BANDS, description="One per band of its images, of a colour camera"
+        default=None,
+        min_length=1,
+        max_length=MOST_BANDS,
+        description="One per band of its images, of a colour camera",
     )
     orientation_offset: tuple[_OffsetAngle, _OffsetAngle, _OffsetAngle] | None = Field(
         default=None,
