@@ -52,8 +52,8 @@ _CCDS = {
     4: ("BG12", (-82.2033, 2e-6), (16.9993, -0.012)),
     9: ("BG13", (-74.9334, 3e-6), (-7.0007, -0.012)),
 }
-#: mm from line to line; samples of a CCD and of a channel; sample and line of its centre, from 1.
-_PITCH, _SAMPLES, _CHANNEL, _CENTRE = 0.012, 2048, 1024, (1024.5, 64.0)
+#: mm from line to line; samples of a channel; sample of the centre of a CCD, from 1, and lines before it.
+_PITCH, _CHANNEL, _CENTRE = 0.012, 1024, (1024.5, 64.0)
 #: m above the ground that the kernel takes MRO to be.
 _ALTITUDE = 300e3
 #: Columns in common from which on windows need not be narrowed; narrowest windows that are matched.
@@ -292,8 +292,10 @@ def _half(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     codes = edr.image.image
     bad = np.isin(codes, SPECIAL)
     table = np.nan_to_num(edr.table.values(np.arange(256, dtype=np.uint8)))
-    bad[:, bad[edr.image.arrived].mean(axis=0) > _CLIPPED] = True
-    bad[~edr.image.arrived] = True
+    whole = edr.image.arrived
+    if whole.any():
+        bad[:, bad[whole].mean(axis=0) > _CLIPPED] = True
+    bad[~whole] = True
     return np.round(table).astype(np.uint16)[codes], bad
 
 
