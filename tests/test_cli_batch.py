@@ -5,16 +5,18 @@ from __future__ import annotations
 import csv
 import json
 import os
+import struct
 from pathlib import Path
 
 import pytest
 
 import sightline
-from sightline.applications.batch import job_names
+from sightline.applications.batch import Batch, JobOutcome, job_names
 from sightline.cli import jobs
 from sightline.cli.jobs import Job, run_job
 from sightline.cli.main import run
 from sightline.errors import InputError
+from sightline.io.results.batch import write_batch
 
 
 @pytest.fixture
@@ -101,7 +103,30 @@ def test_a_batch_of_many_kinds_lists_what_failed_and_its_folder_opens_as_a_resul
     assert Path("own/orientation.csv").read_bytes() == Path("out/stereo/orientation.csv").read_bytes()
     pyarrow = pytest.importorskip("pyarrow.parquet")
     table = pyarrow.read_table("out/results.parquet")
-    assert table.column_names == list(found["bad"]) and table["status"].to_pylist() == [0, 2, 2, 2]
+    assert table.column_names == [*found["bad"], "geometry"] and table["status"].to_pylist() == [0, 2, 2, 2]
+
+
+def test_the_parquet_table_holds_outlines_as_geoparquet_asks(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    near = [[10.0, 1.0], [11.0, 1.0], [11.0, 2.5], [10.0, 1.0]]
+    west = [[-180.0, 0.0], [-179.0, 0.0], [-180.0, 1.0], [-180.0, 0.0]]
+    halves = [[[179.0, 0.0], [180.0, 0.0], [180.0, 1.0], [179.0, 0.0]], west]
+    outcomes = (
+        JobOutcome("near", "a.toml", "recover", outline=[near]),
+        JobOutcome("cut", "b.toml", "recover", outline=halves),
+        JobOutcome("none", "c.toml", "tdi"),
+    )
+    write_batch(tmp_path, Batch("many", outcomes), {}, wall_seconds=1.0)
+    table = parquet.read_table(tmp_path / "results.parquet")
+    geo = json.loads(table.schema.metadata[b"geo"])
+    assert geo["primary_column"] == "geometry"
+    assert geo["columns"]["geometry"] == {"encoding": "WKB", "geometry_types": ["MultiPolygon", "Polygon"]}
+    one, two, nothing = table["geometry"].to_pylist()
+    assert nothing is None
+    # little endian, polygon (3), one ring of four points; multipolygon (6) of two such
+    assert one[:13] == b"\x01\x03\0\0\0\x01\0\0\0\x04\0\0\0"
+    assert struct.unpack("<8d", one[13:]) == (10.0, 1.0, 11.0, 1.0, 11.0, 2.5, 10.0, 1.0)
+    assert two[:9] == b"\x01\x06\0\0\0\x02\0\0\0" and len(two) == 9 + 2 * len(one)
 
 
 def test_what_is_done_is_kept_and_what_changed_is_done_anew(stereo, capsys):

@@ -270,7 +270,6 @@ def main() -> None:
     os.environ["OMP_NUM_THREADS"] = "2"  # two workers of a cluster of this machine
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        empty(folder)
         strips = rendered(folder / "strips", given.strips, given.lines, given.columns)
         one_strip(folder, strips[0])
         _, cpu, _ = sightline("batch", *strips, "--out", str(folder / "serial"), "--workers", "1")
@@ -283,8 +282,9 @@ def main() -> None:
             f"{given.strips} strips of {given.lines} lines x {given.columns} columns x 4 bands: "
             f"{each:.1f} s of CPU each"
         )
-        all_strips(folder, strips, folder / "serial", cpu)
         killed(folder, strips, folder / "serial", given.kills, pace, random.Random(given.seed))
+        all_strips(folder, strips, folder / "serial", cpu)
+        empty(folder)
 
 
 if __name__ == "__main__":

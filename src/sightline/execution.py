@@ -481,11 +481,14 @@ class DaskExecutor(_Submitting):
         def told(done: Any) -> None:
             from distributed import KilledWorker
 
-            # what was cancelled is no answer: `_look` finds out whether the scheduler is there
-            if done.status not in ("finished", "error") or ours.cancelled():
+            if ours.cancelled():
                 return
             try:
+                if done.status not in ("finished", "error"):  # the scheduler is gone, or has another memory
+                    raise _LostError(f"the cluster has {done.status or 'lost'} it")
                 ours.set_result(done.result())
+            except _LostError as error:
+                ours.set_exception(error)
             except KilledWorker as error:
                 how = "a worker of the cluster ended without an answer"
                 ours.set_exception(_LostError(how, getattr(error, "allowed_failures", 0) + 1))

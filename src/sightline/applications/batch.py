@@ -54,6 +54,9 @@ class JobOutcome:
         In its summary.
     figures : dict of str to float
         Its main numbers.
+    outline : list
+        Rings of [longitude, latitude], degrees, round the ground that it saw; empty where there is none, or
+        it is not on the Earth.
     """
 
     name: str
@@ -68,6 +71,7 @@ class JobOutcome:
     worker: str = ""
     warnings: int = 0
     figures: dict[str, float | None] = field(default_factory=dict)
+    outline: list[list[list[float]]] = field(default_factory=list, repr=False)
 
     @property
     def state(self) -> str:

@@ -305,6 +305,7 @@ def _done(run: Run, job: Job, outcome: JobOutcome, err: io.StringIO) -> JobOutco
         figures=_figures(summary),
     )
     if status == 0:
+        outcome = replace(outcome, outline=_outline(command, Path(job.file), job.folder))
         result = _stamp(job.folder / "summary.json")
         _keep(
             job, {**kept, "inputs": stamps, "listing": listing, "result": result, "outcome": asdict(outcome)}
@@ -349,6 +350,12 @@ def _why(said: str) -> str:
     errors = [line for line in lines if line.startswith(("sightline: error: ", "sightline: defect: "))]
     line = (errors or lines or ["no message"])[-1]
     return line.removeprefix("sightline: ").removeprefix("error: ").removeprefix("warning: ")
+
+
+def _outline(command: str, file: Path, folder: Path) -> list[list[list[float]]]:
+    from sightline.io.results.batch import outline_of
+
+    return outline_of(command, file, folder)
 
 
 def _figures(summary: Any) -> dict[str, float | None]:

@@ -1,4 +1,4 @@
-"""A batch → ``results.csv``, ``results.parquet`` and ``summary.json``, from the summaries of its inputs.
+"""A batch → ``results.csv``, ``results.parquet`` and ``summary.json``, from what its inputs' commands wrote.
 
 Not here: the page for people (``report/batch_page.py``).
 """
@@ -6,13 +6,22 @@ Not here: the page for people (``report/batch_page.py``).
 from __future__ import annotations
 
 import csv
+import json
 import math
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from sightline.access import read_json
 from sightline.applications.batch import Batch, JobOutcome
-from sightline.errors import InputError
+from sightline.errors import InputError, SightlineError
+from sightline.geometry.earth import WGS84, to_geodetic
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.config import read_toml
+from sightline.io.formats.footprints import rings_of
 from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.version import VERSION
 from sightline.writing import naming_file, whole
@@ -125,6 +134,62 @@ _FIGURES_OF = {
 }  # fmt: skip
 
 
+#: Points on each side of an outline.
+_PER_SIDE = 8
+
+
+def outline_of(command: str, file: Path, folder: Path) -> list[list[list[float]]]:
+    """Rings of [longitude, latitude] (degrees) round the ground that an input saw; empty where none is known.
+
+    Of a strip that of its first band, by the cameras as given; of a flight the box round its footprints.
+    """
+    try:
+        if command == "recover":
+            return _of_strip(file)
+        if command == "georeference" and (folder / "footprints.geojson").is_file():
+            return _of_flight(folder / "footprints.geojson")
+    except (SightlineError, KeyError, TypeError, ValueError):  # the result is none the worse for it
+        pass
+    return []
+
+
+def _of_strip(file: Path) -> list[list[list[float]]]:
+    if read_toml(file).get("platform", {}).get("kind") == "level-flight":
+        return []
+    acquired = load_acquisition(file)
+    surface: Any = acquired.surface
+    radii = (
+        surface.radii if hasattr(surface, "radii") else (getattr(surface, "a", 0), getattr(surface, "b", 0))
+    )
+    on_earth = all(abs(r / e - 1.0) < 1e-3 for r, e in zip(radii, WGS84, strict=True))
+    if acquired.world != "earth-fixed" or not on_earth or not acquired.bands:
+        return []
+    camera = acquired.bands[0].camera
+    part = np.arange(_PER_SIDE) / _PER_SIDE
+    last = np.array([camera.lines - 1.0, camera.columns - 1.0])
+    top = np.column_stack([0.0 * part, part * last[1]])
+    right = np.column_stack([part * last[0], np.full(_PER_SIDE, last[1])])
+    edge = np.concatenate([top, right, last - top, last - right])
+    ground = camera.locate(edge, surface)
+    if not np.isfinite(ground).all():
+        return []
+    return rings_of(np.degrees(to_geodetic(ground)[:, :2]))
+
+
+def _of_flight(path: Path) -> list[list[list[float]]]:
+    features = read_json(path, "footprints")["features"]
+    parts = [feature["geometry"]["coordinates"] for feature in features]
+    lonlat = np.concatenate([np.reshape(_flat(part), (-1, 2)) for part in parts])
+    (west, south), (east, north) = lonlat.min(axis=0), lonlat.max(axis=0)
+    if east - west > 180.0:  # on both sides of 180 degrees: no box
+        return []
+    return rings_of(np.array([[west, south], [east, south], [east, north], [west, north]]))
+
+
+def _flat(value: Any) -> list[float]:
+    return [number for item in value for number in _flat(item)] if isinstance(value, list) else [value]
+
+
 def batch_columns(outcomes: Sequence[JobOutcome]) -> dict[str, list[Any]]:
     """``results.csv``: a row for each input; None where there is no such figure."""
     found: dict[str, list[Any]] = {name: [getattr(one, name) for one in outcomes] for name in COLUMNS}
@@ -157,7 +222,8 @@ def write_batch(
         for row in zip(*columns.values(), strict=True):
             table.writerow(["" if value is None else _cell(value) for value in row])
     if has_parquet():
-        _write_parquet(folder / "results.parquet", columns)
+        outlines = [one.outline for one in result.outcomes]
+        _write_parquet(folder / "results.parquet", columns, outlines)
     summary = summarize_batch(result, inputs, wall_seconds=wall_seconds)
     write_json(folder / "summary.json", summary)
     return summary
@@ -174,8 +240,13 @@ def has_parquet() -> bool:
     return find_spec("pyarrow") is not None
 
 
-def _write_parquet(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """The same table for tools of data analysis: numbers as numbers, units in the metadata of each column."""
+def _write_parquet(
+    path: Path, columns: Mapping[str, Sequence[Any]], outlines: Sequence[list[list[list[float]]]]
+) -> None:
+    """The same table as GeoParquet 1.1: numbers as numbers, units in the metadata of columns, outlines.
+
+    https://geoparquet.org/releases/v1.1.0: longitude and latitude where no reference system is named.
+    """
     try:
         import pyarrow
         from pyarrow import parquet
@@ -193,8 +264,26 @@ def _write_parquet(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
         shown = [_text(value) for value in values] if not unit else list(values)
         fields.append(pyarrow.field(name, kind, metadata={"unit": unit} if unit else None))
         arrays.append(pyarrow.array([bool(v) for v in shown] if name == "kept" else shown, kind))
+    fields.append(pyarrow.field("geometry", pyarrow.binary()))
+    arrays.append(pyarrow.array([_wkb(rings) for rings in outlines], pyarrow.binary()))
+    kinds = sorted({"Polygon" if len(rings) == 1 else "MultiPolygon" for rings in outlines if rings})
+    geometry = {"geometry": {"encoding": "WKB", "geometry_types": kinds}}
+    geo = json.dumps({"version": "1.1.0", "primary_column": "geometry", "columns": geometry})
     with whole(path) as draft, naming_file(path):
-        parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields)), draft)
+        parquet.write_table(
+            pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields, {"geo": geo})), draft
+        )
+
+
+def _wkb(rings: Sequence[Sequence[Sequence[float]]]) -> bytes | None:
+    """A polygon of each ring, as well-known binary (OGC 06-103r4, 8.2): little endian; None without any."""
+    polygons = [
+        struct.pack("<BIII", 1, 3, 1, len(ring)) + b"".join(struct.pack("<dd", *point) for point in ring)
+        for ring in rings
+    ]
+    if len(polygons) < 2:
+        return polygons[0] if polygons else None
+    return struct.pack("<BII", 1, 6, len(polygons)) + b"".join(polygons)
 
 
 def _text(value: str) -> str:
