@@ -259,6 +259,7 @@ class _Table:
             self._console.print(Text(printable(_in_words(outcome)), overflow="ellipsis", no_wrap=True))
 
     def _drawn(self) -> Any:
+        from rich.console import Group
         from rich.table import Table
         from rich.text import Text
 
@@ -270,7 +271,7 @@ class _Table:
         if ended - self._kept > 0 and ended < count:
             left = (now - self._began) * (count - ended) / (ended - self._kept)
             title += f"; about {time_words(left)} left"
-        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+        table = Table(box=None, pad_edge=False)
         table.add_column("input", no_wrap=True, overflow="ellipsis")
         table.add_column("for", justify="right")
         under_way = sorted(dict(self._since).items(), key=lambda item: item[1])
@@ -278,4 +279,4 @@ class _Table:
             table.add_row(Text(printable(self._jobs[number].name)), time_words(now - since))
         if len(under_way) > _ROWS:
             table.add_row(f"and {len(under_way) - _ROWS} more", "")
-        return table
+        return Group(Text(title), table)
