@@ -3,7 +3,8 @@
 Run: python examples/sentinel2_bands.py [OUT]. The crops have no metadata: height, speed, pixel and lags are
 those of `sightline init --preset sentinel-2-msi`; the staggered detectors of scenes 03 to 07 look in the
 other order. Without truth, what counts is how well bands fit that are laid on one another (along / across
-px), and B08, of which only offset, turn and scale are fitted (px across, means over 44 lines).
+px), and B08, of which only offset, turn and scale are fitted (px across, means over 44 lines), beside what
+its matches' noise and the covariance of the motion let expect.
 """
 
 import math
@@ -44,8 +45,23 @@ def infrared(acquired, motion, statics) -> tuple[float, float]:
     return tuple(np.sqrt((means**2).mean(axis=0)))
 
 
+def expected(bands, found) -> float:
+    """What the covariance of roll leaves of these means, offset and drift of B08 fitted, px."""
+    t = found.motion.t
+    weights = np.zeros((len(t), 3, 8))
+    for band, sign in ((bands[3], 1.0), (bands[1], -1.0)):
+        for k, times in enumerate(band.camera.times(np.arange(352.0)).reshape(8, 44)):
+            share = [np.interp(times, t, unit).mean() for unit in np.eye(len(t))]
+            weights[:, 0, k] += sign * np.array(share)
+    line = np.column_stack([np.ones(8), np.arange(8)])
+    left = np.eye(8) - line @ np.linalg.pinv(line)
+    covariance = left @ found.functional_covariance(weights) @ left
+    return float(np.sqrt(np.trace(covariance) / 8) / found.ifov)
+
+
 if __name__ == "__main__":
     out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp(prefix="sentinel2-"))
+    out.mkdir(parents=True, exist_ok=True)
     if not (crops := sorted(DATA.glob("*.tif"))):
         sys.exit(f"no crops in {DATA}; set SIGHTLINE_DATA to the folder of real data")
     for image in crops:
@@ -57,5 +73,7 @@ if __name__ == "__main__":
         statics = {estimate.name: estimate.value for estimate in found.statics}
         laid = sightline.register_bands(acquired.bands[:3], acquired.surface, found.motion, statics)
         apart = [fit_every_pair(images)[1].rms_px for images in (laid.before, laid.after)]
-        print("{}: B02 to B04 {:.3f} / {:.3f} px, laid {:.3f} / {:.3f}; B08 {:.3f}, its noise {:.3f}".format(
-            image.stem, *apart[0], *apart[1], *infrared(acquired, found.motion, statics)))  # fmt: skip
+        off = (*infrared(acquired, found.motion, statics), expected(acquired.bands, found))
+        words = "{}: B02 to B04 {:.3f} / {:.3f} px, laid {:.3f} / {:.3f}; "
+        words += "B08 {:.3f}, its noise {:.3f}, by the motion's sigma {:.3f}"
+        print(words.format(image.stem, *apart[0], *apart[1], *off))
