@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 #: Sizes of the bridge that are tried, in parts of what the frames' own steps ask for; taken is their average,
 #: each by its likelihood. The most likely alone would claim too much where few readings tell.
 BRIDGES = (0.0, 1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-#: Scalar readings of one sensor and axis that are taken at most: those nearest to frames.
-MOST_READINGS = 1500
+#: Readings of a star tracker that are taken at most, those nearest to frames: their covariance is dense.
+MOST_READINGS = 500
 #: Readings of one sensor and axis from which its sigma is checked against their scatter.
 ENOUGH = 12
 
