@@ -2,6 +2,7 @@
 
     python benchmarks/strip.py
     python benchmarks/strip.py --folder strips --lengths 3000 6000 12000 --columns 6000
+    python benchmarks/strip.py --folder strips --lengths 3000 12000 120000 --columns 300
 
 Renders a strip of four bands per length (`sightline simulate line-of-sight`; a strip that the folder
 already holds is used again) and recovers each in a process of its own, on all processors there are. Wall and
@@ -61,16 +62,22 @@ def run(folder: Path, lengths: list[int], columns: int, seed: int) -> None:
     """The table."""
     print(f"{os.cpu_count()} processors, 4 bands of {columns} columns, load {os.getloadavg()[0]:.1f}")
     strips = {lines: rendered(folder, lines, columns, seed) for lines in sorted(lengths)}
+    peaks = {}
     print("lines    wall s   CPU s   peak GiB   wall ms/line   CPU ms/line   rms px/NEES roll, pitch, yaw")
     for lines, strip in strips.items():
         result = folder / f"result-{strip.name}"
         arguments = ["recover", str(strip / "acquisition.toml"), "--out", str(result), "--overwrite"]
         wall, spent, peak = measured(arguments)
+        peaks[lines] = peak
         print(
             f"{lines:6d} {wall:8.1f} {spent:7.1f} {peak:8.2f} {1e3 * wall / lines:12.2f} "
             f"{1e3 * spent / lines:13.2f}      {score(result, strip)}",
             flush=True,
         )
+    shortest, longest = min(peaks), max(peaks)
+    if shortest < longest:
+        grown = (peaks[longest] - peaks[shortest]) / (longest - shortest) * 2**20
+        print(f"memory grows by {grown:.1f} kiB a line")
 
 
 def main() -> None:

@@ -7,11 +7,11 @@ go along; `StoredFactor` takes the place of a `BandedFactor`.
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -171,14 +171,16 @@ def piece_columns(subdiagonals: int) -> int:
 class _Pieces:
     """Arrays in memory or, where they are large together, one after the other in a scratch file without name.
 
-    Each has the same shape but the last; `kept` says whether they are held in memory.
+    `total` are the bytes of all of them.
     """
 
     def __init__(self, total: int) -> None:
         self._held: dict[int, Array] = {}
-        self._file = None if total <= HELD_BYTES else tempfile.TemporaryFile(dir=scratch_place())
+        self._file: Any = None
+        if total > HELD_BYTES:
+            self._file = tempfile.TemporaryFile(buffering=0, dir=scratch_place())
         self._shapes: dict[int, tuple[int, tuple[int, ...]]] = {}
-        self._end = 0
+        self._end, self._lock = 0, Lock()
 
     def put(self, number: int, piece: Array) -> None:
         """Keep a piece, in the place of the one before of this number."""
@@ -190,10 +192,10 @@ class _Pieces:
             self._shapes[number] = (self._end, piece.shape)
             self._end += piece.nbytes
         left, place = piece.ravel().view(np.uint8).data, self._shapes[number][0]
-        with naming_file(scratch_place() or Path(tempfile.gettempdir())):
+        with naming_file(scratch_place() or Path(tempfile.gettempdir())), self._lock:
+            self._file.seek(place)
             while left:
-                done = os.pwrite(self._file.fileno(), left, place)
-                left, place = left[done:], place + done
+                left = left[self._file.write(left) :]
 
     def get(self, number: int) -> Array | None:
         """A piece; None where none was put."""
@@ -204,9 +206,10 @@ class _Pieces:
         place, shape = self._shapes[number]
         out = np.empty(shape)
         left = out.ravel().view(np.uint8).data
-        while left:
-            done = os.preadv(self._file.fileno(), [left], place)
-            left, place = left[done:], place + done
+        with self._lock:
+            self._file.seek(place)
+            while left:
+                left = left[self._file.readinto(left) :]
         return out
 
 
