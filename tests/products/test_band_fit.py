@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sightline.imaging.source import ArrayImage
-from sightline.products.band_fit import WINDOW, BandFit, fit_bands, fit_points
+from sightline.products.band_fit import WINDOW, BandFit, fit_bands, fit_points, lie_together
 
 SHAPE = (220, 400)
 
@@ -91,3 +91,21 @@ def test_so_small_a_share_of_windows_says_nothing():
     points = np.zeros((30, 2))
     assert BandFit((0, 1), points, points, points + 0.1, 100).known
     assert not BandFit((0, 1), points, points, points + 0.1, 2000).known
+
+
+def test_false_matches_are_left_out_though_they_are_more_than_the_true_ones():
+    """40 of 100 windows about one place to .05 px, the others anywhere within a search of 8 px."""
+    rng = np.random.default_rng(3)
+    true = np.arange(100) < 40
+    offset = np.where(true[:, None], rng.normal([0.4, -0.3], 0.05, (100, 2)), rng.uniform(-9, 9, (100, 2)))
+    kept = lie_together(offset, np.full((100, 2), 0.05), (8, 8))
+    assert kept[true].mean() > 0.95
+    # a false one lies within .3 px of the place once in (18 / .6)^2 windows: none of 60, or one or two
+    assert (kept & ~true).sum() <= 2
+
+
+def test_windows_that_scatter_along_one_axis_are_all_kept():
+    """A motion of 2 px rms between the bands is no false match."""
+    rng = np.random.default_rng(4)
+    offset = rng.normal(0.0, [0.05, 2.0], (300, 2))
+    assert lie_together(offset, np.full((300, 2), 0.05), (8, 8)).mean() > 0.97

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
-from sightline.estimation.robust import robust_sigmas
 from sightline.imaging.reduce import ReducedImage, whole_pixels
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
@@ -23,8 +22,10 @@ Array = NDArray[np.float64]
 
 #: (lines, columns) px of the windows, unlike those of the recovery, and how many there are at most.
 WINDOW, MOST_WINDOWS = (16, 48), 3000
-#: Windows this many robust sigmas from the median are false matches.
-OUTLYING = 5.0
+#: Rounds in which windows that lie where most do, and false ones that lie anywhere, are told apart.
+_ROUNDS = 30
+#: Windows, about, among which their place is sought first.
+_ASKED = 300
 #: Fewer windows kept than this, or a smaller share of those tried, say nothing: so many false matches pass.
 _FEWEST, _FEWEST_SHARE = 20, 0.02
 
@@ -141,10 +142,51 @@ def fit_bands(
         whitening = None
     found = match_images(a, b, points, points, window=window, search_px=search_px, whitening=whitening)
     offset = found.b - found.a
-    kept = found.kept
-    if kept.any():
-        middle = np.median(offset[kept], axis=0)
-        spread = robust_sigmas(offset[kept] - middle, axis=0) + 1e-6
-        kept = kept & (np.abs(np.nan_to_num(offset) - middle) <= OUTLYING * spread).all(axis=1)
+    kept = found.kept.copy()
+    kept[kept] = lie_together(offset[kept], found.sigma_px[kept], search_px)
     tried = int((~np.isin(found.status, (OUTSIDE, MASKED))).sum())
     return BandFit(images, found.a[kept], offset[kept], found.sigma_px[kept], tried)
+
+
+def lie_together(offset: Array, sigma: Array, search_px: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which windows show where the second image lies; the others are false matches.
+
+    A window without common detail is found anywhere within the search, each place as likely as the next; the
+    true ones lie about one place. Which share is true, where that is and how far they scatter is estimated
+    from all of them (a normal density beside an even one, by expectation and maximisation). Bands of little
+    in common have more false windows than true ones: the median of all then means nothing.
+
+    Parameters
+    ----------
+    offset, sigma : (N, 2)
+        px.
+    search_px : (lines, columns)
+        px; half-range of the search.
+
+    Returns
+    -------
+    (N,) bool
+        Those that are more likely true than false.
+    """
+    if len(offset) < 3:
+        return np.ones(len(offset), dtype=bool)
+    reach = np.array(search_px) + 1.0
+    # begin at the window that has the nearest neighbours, a quarter of those asked
+    asked = offset[:: 1 + len(offset) // _ASKED]
+    apart = np.sort(np.linalg.norm((asked[:, None] - asked[None]) / reach, axis=2), axis=1)
+    near = apart[:, max(len(asked) // 4, 1)]
+    middle, variance = asked[np.argmin(near)], np.full(2, 1e-6) + (near.min() * reach) ** 2
+    true, anywhere = 0.5, 1.0 / np.prod(2.0 * reach)
+    for _ in range(_ROUNDS):
+        total = variance + sigma**2
+        away = offset - middle
+        density = np.exp(-0.5 * (away**2 / total).sum(axis=1)) / (2.0 * np.pi * np.sqrt(total.prod(axis=1)))
+        share = true * density / (true * density + (1.0 - true) * anywhere)
+        true = min(max(float(share.mean()), 0.01), 0.99)
+        weight = share[:, None] / total
+        middle = (weight * offset).sum(axis=0) / weight.sum(axis=0)
+        # what each scatters beyond its own error: its expectation, and how far it may lie from that
+        gain = variance / total
+        scatter = (gain * away) ** 2 + gain * sigma**2
+        variance = 1e-6 + (share[:, None] * scatter).sum(axis=0) / share.sum()
+    return np.asarray(share > 0.5)
