@@ -24,7 +24,8 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.matching.follow import Followed
 from sightline.matching.match_images import match_images
-from sightline.matching.whitening import estimate_whitening, gradient_filter
+from sightline.matching.select import grid_points
+from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
 from sightline.photogrammetry.flight.rig import RigCamera, RigOffsets, rig_images
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.match_frames import TrackPlan, hub_share, match_frames
@@ -206,6 +207,11 @@ class _View:
         """Where the other shows pixels (N, 2) of the hub."""
         return self.other.project(self.hub.locate(pixels, self.surface))
 
+    def affine(self, pixels: Array) -> Array:
+        """Change (N, 2, 2) of that with (line, column) of the hub."""
+        step = np.diag([2.0, 2.0])
+        return np.stack([(self.map(pixels + s) - self.map(pixels - s)) / 4.0 for s in step], axis=-1)
+
 
 def find_in_rig(
     followed: Followed,
@@ -243,6 +249,7 @@ def find_in_rig(
     hub_of[followed.point[first]] = followed.image[first]
     found: list[Tracks] = []
     images_of = _Held(cameras)
+    filters = {c: _filters(images, cameras, offsets, surface, c) for c in range(1, len(cameras))}
     for hub in range(count):
         own = first[hub_of[followed.point[first]] == hub]
         if report is not None:
@@ -265,7 +272,7 @@ def find_in_rig(
                 names = followed.point[rows]
                 track = _found(
                     images_of(0, hub), images_of(c, k), _View(hub_camera, at[c], surface),
-                    followed.pixels[rows], points[names], names, c * count + k, search,
+                    followed.pixels[rows], points[names], names, c * count + k, search, filters[c],
                 )  # fmt: skip
                 if track is not None:
                     found.append(track)
@@ -295,6 +302,33 @@ def _whole(source: ImageSource) -> ImageSource:
     return ArrayImage(source.read(*window), source.mask(*window))
 
 
+def _filters(
+    images: Images, cameras: Sequence[RigCamera], offsets: RigOffsets, surface: Surface, camera: int
+) -> Whitening:
+    """Filters of the first camera and another, from a capture of both in the middle of the flight.
+
+    One for all: of the few windows of one capture they would be noisy, and what is noise in them moves all
+    windows alike.
+    """
+    both = np.flatnonzero(cameras[0].usable & cameras[camera].usable)
+    if not len(both):
+        return gradient_filter()
+    capture = int(both[len(both) // 2])
+    at = rig_cameras(images, cameras, offsets, capture)
+    view = _View(at[0], at[camera], surface)
+    hub, other = (_whole(cameras[c].sources[capture]) for c in (0, camera))
+    places = grid_points(hub.shape, window=_TILE)
+    affine = view.affine(places)
+    known = np.isfinite(affine).all(axis=(1, 2))
+    try:
+        return estimate_whitening(
+            hub, other, places[known], view.map(places[known]), affine=affine[known], tile=_TILE,
+            reach=(_SEARCH, _SEARCH),
+        )  # fmt: skip
+    except EstimationError:
+        return gradient_filter()
+
+
 def _seen_about(followed: Followed, first: RigCamera, capture: int) -> NDArray[np.intp]:
     """Points that the first camera shows in a capture; where its image is lost, in those beside it."""
     if first.usable[capture]:
@@ -311,6 +345,7 @@ def _found(
     names: NDArray[np.intp],
     image: int,
     search: int,
+    whitening: Whitening,
 ) -> Tracks | None:
     """Windows of a hub in one other image."""
     predicted = view.other.project(points)
@@ -320,18 +355,11 @@ def _found(
     if inside.sum() < _LEAST_WINDOWS:
         return None
     places, predicted, names = places[inside], predicted[inside], names[inside]
-    step = np.diag([2.0, 2.0])
-    affine = np.stack([(view.map(places + s) - view.map(places - s)) / 4.0 for s in step], axis=-1)
+    affine = view.affine(places)
     known = np.isfinite(affine).all(axis=(1, 2))
     places, predicted, names, affine = places[known], predicted[known], names[known], affine[known]
     if len(places) < _LEAST_WINDOWS:
         return None
-    try:
-        whitening = estimate_whitening(
-            hub, source, places, predicted, affine=affine, tile=_TILE, reach=(search, search)
-        )
-    except EstimationError:
-        whitening = gradient_filter()
     match = match_images(
         hub, source, places, predicted, window=(_WINDOW, _WINDOW), affine=affine,
         search_px=(search, search), whitening=whitening, min_score=_MIN_SCORE,

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array, frozen
-from sightline.photogrammetry.block.descent import BlockSums, State, descend, first_state, seen_twice
+from sightline.photogrammetry.block.descent import BlockSums, Fit, State, descend, first_state, seen_twice
 from sightline.photogrammetry.block.point_priors import PointPriors
 from sightline.photogrammetry.block.pose_unknowns import STRETCH, PoseUnknowns
 from sightline.photogrammetry.flight.focal import globals_of
@@ -41,6 +42,9 @@ _ROUNDS = 3
 _CONVERGED = 1e-4
 #: Roughness (unit^2 / s^3 in `UNITS`) of a path of which nothing is known.
 _LOOSE_ROUGHNESS = 1e8
+#: Groups of sightings that tell how they err together, at least and about at most; parts of a single capture
+#: along each side.
+_LEAST_GROUPS, _MOST_GROUPS, _CELLS = 5, 15, 5
 _PLACES, _ANGLES = slice(3, 6), slice(0, 3)
 
 
@@ -140,13 +144,12 @@ def adjust_rig(
         step = plain.departures(state.own, common[: plain.globals])
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
         last, moved = moved, np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:6]], axis=1)
-    assert block is not None  # there is a round
-    poses, covariance = as_frame_poses(moved_images(captures, last), block, fit, rough, known)
+    assert block is not None and state is not None  # there is a round
+    poses, _ = as_frame_poses(moved_images(captures, last), block, fit, rough, known)
+    offsets = _design_effect(block, fit, state, _groups(tracks, count), plain.globals, _free(cameras))
     return RigSolution(
         poses,
-        _offsets(
-            cameras, tracks, poses, common[plain.globals :], covariance[plain.globals :, plain.globals :]
-        ),
+        _offsets(cameras, tracks, poses, common[plain.globals :], offsets),
         fit.statistic,
     )
 
@@ -236,6 +239,75 @@ def _left_inverse(angles: Array) -> Array:
     return np.asarray(np.eye(3) - 0.5 * cross + cross @ cross / 12.0)
 
 
+def _groups(tracks: Tracks, count: int) -> Index:
+    """Group (N,) of each sighting: ground that one capture showed first, or a part of a single capture."""
+    points = int(tracks.point.max()) + 1
+    first = np.full(points, count)
+    np.minimum.at(first, tracks.point, tracks.image % count)
+    if count > 1:
+        # ground that neighbours show first lies side by side
+        return np.asarray(first[tracks.point] // max(count // _MOST_GROUPS, 1))
+    cell = np.zeros(points, dtype=np.intp)
+    own = tracks.image == 0
+    low, high = tracks.pixels[own].min(axis=0), tracks.pixels[own].max(axis=0)
+    place = np.floor(_CELLS * (tracks.pixels[own] - low) / np.maximum(high - low + 1.0, 1.0)).astype(np.intp)
+    cell[tracks.point[own]] = _CELLS * place[:, 0] + place[:, 1]
+    return cell[tracks.point]
+
+
+def _design_effect(
+    block: BlockSums, fit: Fit, state: State, group: Index, others: int, free: list[tuple[int, int]]
+) -> Array:
+    """Covariance of the offsets that owns what sightings of the same ground have in common.
+
+    Parameters
+    ----------
+    block : BlockSums
+    fit : Fit
+    state : State
+        The solution.
+    group : (N,) int
+        Of each sighting: those of one group may err alike.
+    others : int
+        Globals before the offsets.
+    free : list of (int, int)
+        Camera and offset of each unknown.
+
+    Returns
+    -------
+    (n, n)
+
+    Notes
+    -----
+    What two bands show unlike of one ground moves all windows about it, in all captures and cameras: no
+    residual shows it, as the points follow. The pulls of the groups on the angles of a camera scatter by
+    more than their information allows then; over it, that is the design effect of clustered samples, by
+    which the information on the offsets of that camera is less (K. Y. Liang, S. L. Zeger, Biometrika 73,
+    1986). It is 1 at least.
+    """
+    reduced, known = fit.equations.reduced, block.unknowns.global_information
+    whole = 0.5 * (reduced.information + reduced.information.T)
+    base, rest = whole[:others, :others], whole[others:, :others]
+    held = np.linalg.solve(base, rest.T).T if others else np.zeros((len(free), 0))
+    information = whole[others:, others:] - held @ rest.T - np.diag(known[others:])
+    names = np.unique(group)
+    nothing = block.gradient(state, np.zeros(len(group)))
+    pulls = np.zeros((len(names), len(free)))
+    for row, name in enumerate(names):
+        of_group = block.gradient(state, fit.weight * (group == name))
+        pull = reduced.condense(*(a - b for a, b in zip(of_group[:3], nothing[:3], strict=True)))
+        pulls[row] = pull[others:] - held @ pull[:others]
+    pulls -= pulls.mean(axis=0)
+    shrink = np.ones(len(free))  # one over the root of the effect
+    for camera in dict.fromkeys(c for c, _ in free):
+        own = [i for i, (c, k) in enumerate(free) if c == camera and k < 3]
+        if len(own) == 3 and len(names) >= _LEAST_GROUPS:
+            scatter = pulls[:, own].T @ pulls[:, own] * len(names) / (len(names) - 1.0)
+            effect = float(np.trace(np.linalg.solve(information[np.ix_(own, own)], scatter))) / 3.0
+            shrink[[i for i, (c, _) in enumerate(free) if c == camera]] = max(effect, 1.0) ** -0.5
+    return np.asarray(np.linalg.inv(shrink[:, None] * information * shrink + np.diag(known[others:])))
+
+
 def _offsets(
     cameras: Sequence[RigCamera], tracks: Tracks, poses: FramePoses, values: Array, covariance: Array
 ) -> RigOffsets:
@@ -267,28 +339,69 @@ def _offsets(
     )
 
 
-def rig_noise(solution: RigSolution, tracks: Tracks, cameras: int, count: int) -> Tracks:
-    """The same tracks, sightings of each camera but the first with sigmas that their residuals bear out.
+def rig_noise(solution: RigSolution, tracks: Tracks, given: Tracks, cameras: int, count: int) -> Tracks:
+    """Tracks with sigmas of all cameras but the first that their residuals bear out.
 
     Parameters
     ----------
     solution : RigSolution
-        Of these tracks.
+        Of `tracks`.
     tracks : Tracks
+    given : Tracks
+        The same with the sigmas of the matches themselves.
     cameras, count : int
         Cameras and captures.
+
+    Notes
+    -----
+    What two bands show unlike of one place moves a window in every capture alike, and windows that share
+    pixels together: n sightings of one point that go together by rho count for n / (1 + (n - 1) rho) of them,
+    windows whose neighbours go with them by rho_k for 1 / (1 + sum rho_k) of a window.
     """
-    sigma, camera = np.array(tracks.sigma_px), tracks.image // count
+    sigma, camera = np.array(given.sigma_px), tracks.image // count
     for c in range(1, cameras):
-        rows = (camera == c) & ~solution.poses.rejected
-        if rows.sum() >= _LEAST_SCALED:
-            # robust: the median of a chi-square of two degrees of freedom
-            factor = float(np.median(solution.statistic[rows])) / _MEDIAN_2
-            sigma[camera == c] *= np.sqrt(max(factor, _LEAST_FACTOR))
-    return replace(tracks, sigma_px=sigma)
+        own = np.flatnonzero(camera == c)
+        rows = own[~solution.poses.rejected[own]]
+        if len(rows) < _LEAST_SCALED:
+            continue
+        # robust: the median of a chi-square of two degrees of freedom
+        square = solution.statistic[rows] * (tracks.sigma_px[rows] / given.sigma_px[rows]) ** 2
+        # not below: what all cameras see alike of a point moves the point, and no residual shows it
+        factor = np.full(len(own), max(float(np.median(square)) / _MEDIAN_2, 1.0))
+        unit = solution.poses.residual_px[rows] / given.sigma_px[rows, None]
+        again = np.bincount(given.point[rows], minlength=int(given.point.max()) + 1)[given.point[own]]
+        factor *= 1.0 + np.maximum(again - 1, 0) * _alike_again(given.point[rows], unit)
+        factor *= 1.0 + _alike_beside(given.image[rows], given.pixels[rows], unit)
+        sigma[own] *= np.sqrt(factor)
+    return replace(given, sigma_px=sigma)
 
 
-#: Sightings from which on residuals tell how good those of a camera are; median of their chi-square; least
-#: factor of a variance: residuals that windows share with those beside them look smaller than they are.
-_LEAST_SCALED, _MEDIAN_2, _LEAST_FACTOR = 30, 1.3863, 0.5
+def _alike_again(point: Index, unit: Array) -> float:
+    """Correlation of the residuals (N, 2) of one point from capture to capture; 0 to 1."""
+    count = np.bincount(point)
+    sums = np.stack([np.bincount(point, unit[:, k]) for k in range(2)], axis=1)
+    squares = np.bincount(point, (unit**2).sum(axis=1))
+    pairs = float((count * (count - 1.0)).sum())
+    if pairs < _LEAST_SCALED:
+        return 0.0
+    together = float(((sums**2).sum(axis=1) - squares).sum()) / pairs
+    return float(np.clip(together / (squares.sum() / len(point)), 0.0, 1.0))
+
+
+def _alike_beside(image: Index, pixels: Array, unit: Array) -> float:
+    """Sum of the correlations of residuals (N, 2) with those of the nearest windows of the same image."""
+    products, squares, seen = np.zeros(_NEIGHBOURS), 0.0, 0
+    for number in np.unique(image):
+        rows = np.flatnonzero(image == number)
+        if len(rows) < 2 * _NEIGHBOURS:
+            continue
+        near = np.asarray(cKDTree(pixels[rows]).query(pixels[rows], _NEIGHBOURS + 1)[1])[:, 1:]
+        products += (unit[rows][:, None] * unit[rows][near]).sum(axis=(0, 2))
+        squares, seen = squares + float((unit[rows] ** 2).sum()), seen + len(rows)
+    return max(float(products.sum()) / squares, 0.0) if seen >= _LEAST_SCALED else 0.0
+
+
+#: Sightings from which on residuals tell how good those of a camera are; median of their chi-square; windows
+#: around one that may err like it.
+_LEAST_SCALED, _MEDIAN_2, _NEIGHBOURS = 30, 1.3863, 8
 Index = NDArray[np.intp]

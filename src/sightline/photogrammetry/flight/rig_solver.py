@@ -31,6 +31,8 @@ _HELD = 1e-4
 _RELIEF, _ROUGH = 0.1, 0.03
 #: Windows of one capture; sigmas beyond which an offset contradicts what was given.
 _POINTS, _CONTRADICTED = 400, 4.0
+#: Solutions, each with the noise that the residuals of the one before bear out.
+_NOISE_ROUNDS = 3
 #: Sightings of a camera from which on its offset is found.
 _LEAST_SIGHTINGS = 20
 
@@ -96,17 +98,17 @@ def solve_rig(
     more = find_in_rig(followed, images, poses.points, cameras, offsets, surface, report)
     if more is None:
         raise EstimationError("no followed window was found in another camera of the rig; check the cameras")
-    whole = joined([tracks, more])
+    given = whole = joined([tracks, more])
     solver = SequenceSolver(problem, followed)
     priors = solver.priors(tracks)
     solution = None
-    for _ in range(2):
+    for _ in range(_NOISE_ROUNDS):
+        whole = given if solution is None else rig_noise(solution, whole, given, len(cameras), len(problem))
         solution = adjust_rig(
             problem.images, problem.rig, whole, problem.known_poses, start=poses, begin=offsets,
             priors=priors, points=poses.points,
         )  # fmt: skip
         offsets = solution.offsets
-        whole = rig_noise(solution, whole, len(cameras), len(problem))
     assert solution is not None
     _refuse_unseen(solution.offsets)
     return RigAdjusted(solution.poses, solution.offsets, whole, offset_words(problem, solution.offsets))
@@ -150,12 +152,13 @@ def solve_capture(problem: SequenceProblem) -> RigAdjusted:
         position_bias=0.0, attitude_bias=0.0, focal_length=0.0,
     )  # fmt: skip
     solution: RigSolution | None = None
-    for _ in range(3):
+    given = tracks
+    for _ in range(_NOISE_ROUNDS):
+        tracks = given if solution is None else rig_noise(solution, tracks, given, len(cameras), 1)
         solution = adjust_rig(
             images, cameras, tracks, known, begin=offsets, priors=priors, points=points
         )  # fmt: skip
         offsets = solution.offsets
-        tracks = rig_noise(solution, tracks, len(cameras), 1)
     assert solution is not None
     _refuse_unseen(solution.offsets)
     # the pose was held, not found: it is as rough as its tables
