@@ -44,7 +44,7 @@ _CONVERGED = 1e-4
 _LOOSE_ROUGHNESS = 1e8
 #: Groups of sightings that tell how they err together, at least and about at most; parts of a single capture
 #: along each side.
-_LEAST_GROUPS, _MOST_GROUPS, _CELLS = 5, 15, 5
+_LEAST_GROUPS, _MOST_GROUPS, _CELLS = 5, 10, 5
 _PLACES, _ANGLES = slice(3, 6), slice(0, 3)
 
 
@@ -283,7 +283,9 @@ def _design_effect(
     residual shows it, as the points follow. The pulls of the groups on the angles of a camera scatter by
     more than their information allows then; over it, that is the design effect of clustered samples, by
     which the information on the offsets of that camera is less (K. Y. Liang, S. L. Zeger, Biometrika 73,
-    1986). It is 1 at least.
+    1986). It is 1 at least. Of few groups pulls are smaller than those of new ground, by (G - 1) / G each as
+    the solution follows them (the jackknife's factor), and one over a scatter of n degrees of freedom is too
+    large by n / (n - 2) on the mean.
     """
     reduced, known = fit.equations.reduced, block.unknowns.global_information
     whole = 0.5 * (reduced.information + reduced.information.T)
@@ -298,11 +300,13 @@ def _design_effect(
         pull = reduced.condense(*(a - b for a, b in zip(of_group[:3], nothing[:3], strict=True)))
         pulls[row] = pull[others:] - held @ pull[:others]
     pulls -= pulls.mean(axis=0)
+    groups, freedom = len(names), 3.0 * (len(names) - 1.0)
+    small = (groups / max(groups - 1.0, 1.0)) ** 2 * freedom / max(freedom - 2.0, 1.0)
     shrink = np.ones(len(free))  # one over the root of the effect
     for camera in dict.fromkeys(c for c, _ in free):
         own = [i for i, (c, k) in enumerate(free) if c == camera and k < 3]
         if len(own) == 3 and len(names) >= _LEAST_GROUPS:
-            scatter = pulls[:, own].T @ pulls[:, own] * len(names) / (len(names) - 1.0)
+            scatter = pulls[:, own].T @ pulls[:, own] * small
             effect = float(np.trace(np.linalg.solve(information[np.ix_(own, own)], scatter))) / 3.0
             shrink[[i for i, (c, _) in enumerate(free) if c == camera]] = max(effect, 1.0) ** -0.5
     return np.asarray(np.linalg.inv(shrink[:, None] * information * shrink + np.diag(known[others:])))
