@@ -144,7 +144,8 @@ def adjust_rig(
         step = plain.departures(state.own, common[: plain.globals])
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
         last, moved = moved, np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:6]], axis=1)
-    assert block is not None and state is not None  # there is a round
+    assert block is not None
+    assert state is not None
     poses, _ = as_frame_poses(moved_images(captures, last), block, fit, rough, known)
     offsets = _design_effect(block, fit, state, _groups(tracks, count), plain.globals, _free(cameras))
     return RigSolution(
