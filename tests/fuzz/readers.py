@@ -230,6 +230,7 @@ function("sequence.frame_files.probe", "flown", "f0.npy")
 function("sequence.frame_files.probe", "photographs", "photos/p0.jpg")
 function("formats.exif.read_tags", "photographs", "photos/p0.jpg")
 function("formats.exif.read_exif", "photographs", "photos/p0.jpg")
+function("sequence.frames.read_photograph_tags", "photographs", "photos/p0.jpg")
 _row(
     "formats.exif.positions_from_exif", "photographs", ["photos/*.jpg"],
     lambda folder, read: read(sorted((folder / "photos").iterdir()), EPOCH, 0.0),
@@ -286,8 +287,13 @@ function("formats.products.pleiades_telemetry.read_pleiades_telemetry", "maker-p
 function("formats.isd_frame.read_frame_model", "sensor-model", "frame.json")
 function("formats.hirise_edr.is_hirise", "hirise", "raw.IMG")
 function("formats.hirise_edr.read_hirise_edr", "hirise", "raw.IMG")
+function("formats.hirise_edr.read_hirise_setting", "hirise", "raw.IMG")
+function("formats.junocam.is_metadata", "juno", "JNCE_30.json")
 function("formats.junocam.read_metadata", "juno", "JNCE_30.json")
 function("formats.junocam.read_framelets", "juno", "JNCE_30.png")
+function("formats.sentinel1.is_sentinel1", "sentinel1", "attitude.csv")
+function("formats.sentinel1.read_sentinel1_attitude", "sentinel1", "attitude.csv", EPOCH)
+function("formats.sentinel1.read_sentinel1_orbit", "sentinel1", "orbit.csv", EPOCH)
 _row("formats.colmap.read_colmap_model", "modelled", ["text/*"], lambda folder, read: read(folder / "text"))
 _row(
     "formats.colmap.read_colmap_model", "modelled", ["binary/*"], lambda folder, read: read(folder / "binary")
@@ -427,7 +433,7 @@ for _seed, _toml in (
     ("mirror", "acquisition"), ("spin", "acquisition"), ("turning-frames", "acquisition"), ("frames",
     "acquisition"),
     ("photographs", "acquisition"), ("photographs", "sequence"), ("flown", "sequence"), ("flown-lonlat",
-    "sequence"),
+    "sequence"), ("rig", "sequence"),
     ("modelled", "text"), ("modelled", "binary"), ("modelled", "opensfm"), ("modelled", "opk"), ("pair",
     "stereo"),
     ("pair", "observations"), ("pictures", "stereo"), ("simulated-pair", "stereo"), ("strips", "stereo"),

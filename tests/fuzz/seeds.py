@@ -813,6 +813,34 @@ def flown(folder: Path) -> None:
 
 
 @seed
+def rig(folder: Path) -> None:
+    """Two cameras that are exposed together, by a table of their images."""
+    made = seen()
+    one = made.toml.index("[camera]")
+    rest = made.toml.index("\n[", one + 1) + 1 if "\n[" in made.toml[one + 1 :] else len(made.toml)
+    lens = made.toml[one + len("[camera]") : rest].rstrip()
+    made.toml = (
+        made.toml[:one]
+        + made.toml[rest:]
+        + "".join(
+            f'\n[[camera]]\nname = "{name}"\nwavelength_nm = {nm}{lens}\n{offset}'
+            for name, nm, offset in (
+                ("green", 560.0, ""),
+                (
+                    "NIR",
+                    840.0,
+                    "orientation_offset = [0.002, 0.0, 0.0]\nposition_offset = [0.0, 0.04, 0.0]\n",
+                ),
+            )
+        )
+    )
+    made.extra["frames.csv"] = "capture,camera,t,image\n" + "".join(
+        f"{k},{name},{0.5 * k},f{k}.npy\n" for k in range(6) for name in ("green", "NIR")
+    )
+    made.write(folder)
+
+
+@seed
 def flown_lonlat(folder: Path) -> None:
     """Places by geo.txt and control points by gcp_list.txt, times as UTC, a DEM of the ground."""
     from rasterio.transform import Affine
@@ -1340,6 +1368,12 @@ def hirise(folder: Path) -> None:
         "MRO:BINNING": binning,
         "MRO:TDI": stages,
         "MRO:LINE_EXPOSURE_DURATION": "167.5000 <MICROSECONDS>",
+        "MRO:SCAN_EXPOSURE_DURATION": "83.7500 <MICROSECONDS>",
+        "OBSERVATION_ID": '"PSP_000000_0000"',
+        "MRO:CPMM_NUMBER": 5,
+        "MRO:CHANNEL_NUMBER": 0,
+        "START_TIME": "2007-01-01T00:00:00.000",
+        "SPACECRAFT_CLOCK_START_COUNT": '"850000000:12345"',
         "MRO:LOOKUP_CONVERSION_TABLE": f"({', '.join(map(str, nodes))})".replace("), ", "),\n     "),
         "^CALIBRATION_IMAGE": "8193 <BYTES>",
         "^IMAGE": f"{8193 + calibration * (columns + 34)} <BYTES>",
@@ -1365,6 +1399,7 @@ def juno(folder: Path) -> None:
         (32, "13:44:55.688", (85911.5, 51.6, 301.6)),
     ):
         metadata = {
+            "INSTRUMENT_ID": "JNC",
             "PRODUCT_ID": f"JNCE_{number}",
             "START_TIME": f"2022-08-17T{hour}",
             "INTERFRAME_DELAY": "0.373 <s>",
@@ -1376,6 +1411,23 @@ def juno(folder: Path) -> None:
     sky = np.zeros((384, 1648), np.uint8)
     sky[:, 300:900] = 60 + (np.arange(600) % 7).astype(np.uint8)
     write_tif(folder / "JNCE_30.png", sky, driver="PNG")
+
+
+@seed
+def sentinel1(folder: Path) -> None:
+    """Attitudes about axes of 2000 and an Earth-fixed orbit, a second apart."""
+    rows = ["time_utc,frame,q0,q1,q2,q3,wx,wy,wz"]
+    track = ["time_utc,frame,x,y,z,vx,vy,vz"]
+    for k in range(12):
+        instant, turn = f"2026-01-01T00:00:{k:02d}.000000", Rotation.from_euler("y", -1.06e-3 * k)
+        q = ",".join(f"{value:.12f}" for value in turn.as_quat())
+        rows.append(f"{instant},GM2000,{q},1.06e-3,0.0,0.0")
+        angle = 1.06e-3 * k
+        place = 7.07e6 * np.array([np.cos(angle), 0.0, np.sin(angle)])
+        speed = 7.5e3 * np.array([-np.sin(angle), 0.0, np.cos(angle)])
+        track.append(",".join([instant, "Earth Fixed", *(f"{value:.4f}" for value in (*place, *speed))]))
+    (folder / "attitude.csv").write_text("\n".join(rows) + "\n")
+    (folder / "orbit.csv").write_text("\n".join(track) + "\n")
 
 
 # Sums that a reader checks, made right again after a change -------------------------------------------------

@@ -28,6 +28,7 @@ BY_CHECK = {
     "acquisition.load.read_control", "acquisition.load.read_known_motion", "acquisition.load.read_matching",
     "acquisition.load.read_sensor",
     "acquisition.bands.open_band_image", "sequence.frames.probe_frames", "sequence.frames.read_frames",
+    "sequence.rigs.read_rig",
 }  # fmt: skip
 SEED = 20260101
 
