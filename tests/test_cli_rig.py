@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 
-from sightline.cli.main import app
+from sightline.cli.main import app, run
 from sightline.io.formats.tables import read_columns
 
 SMALL = (
@@ -24,14 +27,14 @@ def located(tmp_path_factory):
     from typer.testing import CliRunner
 
     folder = tmp_path_factory.mktemp("rig")
-    run = CliRunner().invoke
+    invoke = CliRunner().invoke
     flight, result = folder / "flight", folder / "located"
-    made = run(
+    made = invoke(
         app,
         ["simulate", "frames", "--case", "rig", "--frames", "6", "--seed", "4", *SMALL, "--out", str(flight)],
     )
     assert made.exit_code == 0, made.output
-    found = run(app, ["georeference", str(flight / "sequence.toml"), "--out", str(result)])
+    found = invoke(app, ["georeference", str(flight / "sequence.toml"), "--out", str(result)])
     assert found.exit_code == 0, found.output
     return flight, result, found.output
 
@@ -60,6 +63,76 @@ def test_captures_without_one_band_are_used_for_the_others(located):
     assert images == {"band 1": 6, "band 2": 5, "band 3": 5}
     assert summary["frames"] == 6 and sum(summary["sources"].values()) == 6
     assert not (flight / "frames" / "capture-00002-2.tif").exists()
+
+
+def test_an_image_that_cannot_be_used_is_warned_of(located):
+    _, result, printed = located
+    # 6 captures of 3 cameras; one image is not listed, one of those listed is saturated
+    said = "1 of 17 images of the rig cannot be used; the first, "
+    (warning,) = [w for w in json.loads((result / "summary.json").read_text())["warnings"] if said in w]
+    assert "capture-00003-3.tif (camera band 3): " in warning and "is constant" in warning
+    assert f"warning: {warning}" in printed
+
+
+def edited(flight, folder, change):
+    """A copy of a flight, its TOML changed."""
+    copied = Path(shutil.copytree(flight, folder / "flight"))
+    toml = copied / "sequence.toml"
+    toml.write_text(change(toml.read_text()))
+    return toml
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_check_names_the_first_image_of_a_rig_that_cannot_be_used_and_why(located, tmp_path, capsys):
+    toml = edited(located[0], tmp_path, lambda text: text)
+    frames = toml.parent / "frames"
+    (frames / "capture-00004-2.tif").write_text("no raster")
+    (frames / "capture-00002-1.tif").unlink()
+    profile = {"driver": "GTiff", "height": 100, "width": 120, "count": 1, "dtype": "uint8"}
+    for name, reason in (("2-1", "no such file"), ("1-3", "(100, 120) px in place of (160, 200)")):
+        if name == "1-3":
+            with rasterio.open(frames / "capture-00001-3.tif", "w", **profile) as target:
+                target.write(np.random.default_rng(1).integers(1, 200, (1, 100, 120), dtype=np.uint8))
+        assert run(["check", str(toml)]) == 0
+        shown = " ".join("".join(capsys.readouterr()).split())
+        count = 3 if name == "2-1" else 4
+        assert f"{count} of 17 images of the rig cannot be used" in shown
+        assert f"capture-0000{name}.tif" in shown and reason in shown
+
+
+SHAPE = "shape = [160, 200]"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda text: SHAPE.join(text.split(SHAPE)[:2]) + "shape = [80, 100]" + text.split(SHAPE)[2]
+            + SHAPE + text.split(SHAPE)[3],
+            ("camera[2].shape = [80, 100]", "'band 2'", "capture-00000-2.tif, is 160 x 200"),
+        ),
+        (
+            lambda text: text.replace(
+                "[subset]", '[[camera]]\nname = "band 6"\nfocal_length_px = 220.0\n\n[subset]'
+            ),
+            ("camera 'band 6' is in no row of frames.csv",),
+        ),
+        (
+            lambda text: text.replace('frames = "frames.csv"', 'frames = "other.csv"'),
+            ("no image of camera 'band 3' can be used", "gone-3.tif: no such file"),
+        ),
+    ],
+)  # fmt: skip
+def test_a_camera_of_a_rig_that_its_images_contradict_is_refused_at_once(
+    located, tmp_path, capsys, change, said
+):
+    toml = edited(located[0], tmp_path, change)
+    rows = (toml.parent / "frames.csv").read_text()
+    (toml.parent / "other.csv").write_text(re.sub(r"frames/capture-\d+-3", "gone-3", rows))
+    assert run(["georeference", str(toml), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert all(words in error for words in said), error
+    assert "progress" not in error and not (tmp_path / "out").exists()
 
 
 def test_bands_of_all_cameras_lie_on_one_map(located):

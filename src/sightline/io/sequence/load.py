@@ -36,7 +36,14 @@ from sightline.io.sequence.matched_rows import is_local, radii_of
 from sightline.io.sequence.models import model_attitudes
 from sightline.io.sequence.poses import check_places, starting_poses
 from sightline.io.sequence.positions import place_of
-from sightline.io.sequence.rigs import RigImages, read_rig, refuse_asynchronous, rig_camera
+from sightline.io.sequence.rigs import (
+    RigImages,
+    lost_images,
+    read_rig,
+    refuse_asynchronous,
+    refuse_other_shapes,
+    rig_camera,
+)
 from sightline.io.sequence.schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
 from sightline.io.whereabouts import level_axes_at, span_doubts
 from sightline.photogrammetry.block.point_priors import ControlPoints
@@ -143,6 +150,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
     camera, rig = file.first_camera, read_rig(file, files)
     if rig is not None:
         refuse_asynchronous(rig)
+        refuse_other_shapes(path, rig)
         camera = rig.sections[0].as_camera()
     frames = read_frames(file, files) if rig is None else rig.frames_of(0)
     mount = camera.mounting
@@ -167,6 +175,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
     if control is not None and tracks is not None and not np.isfinite(start.known.position).any():
         images = placed_by_control(images, control, tracks, detector, mount)
     surface, ground_words = _ground(file, files, images, detector, mount)
+    cameras = () if rig is None else _rig_cameras(rig, files, detector, model_attitudes(file, files))
     problem = SequenceProblem(
         frames=frames.names,
         t=frames.t,
@@ -191,14 +200,14 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         control_tracks=tracks,
         radii=radii_of(file),
         epoch=frames.epoch,
-        rig=() if rig is None else _rig_cameras(rig, files, detector, model_attitudes(file, files)),
+        rig=cameras,
         warnings=(
             *frames.warnings,
             *lens_words,
             *start.warnings,
             *_exchanged_words(file, frames, start.images, control, surface),
             *ground_words,
-            *_lost(frames, reasons),
+            *(_lost(frames, reasons) if rig is None else lost_images(rig, cameras)),
         ),
     )
     doubts = (*unit_doubts(problem), *_span_doubts(problem, file))

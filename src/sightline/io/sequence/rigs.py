@@ -148,6 +148,12 @@ def _of_table(
                 f"{path}: camera {camera!r} is none of the [[camera]]: {', '.join(names)}; correct the name"
             )
         rows.append(_Image(str(capture), str(camera), files.path(str(image)), float(t)))
+    for name in names:
+        if not any(row.camera == name for row in rows):
+            raise FormatError(
+                f"{path}: camera {name!r} is in no row of {path.name}; add rows of its images, or leave its "
+                "[[camera]] out"
+            )
     return _sorted(path, rows, listed, epoch)
 
 
@@ -406,6 +412,71 @@ def _turn_in_model(
     return (first.inv() * here).mean()
 
 
+def lost_images(images: RigImages, cameras: Sequence[RigCamera]) -> tuple[str, ...]:
+    """How many images that there should be cannot be used, and the first; captures without the first camera.
+
+    Parameters
+    ----------
+    images : RigImages
+    cameras : sequence of RigCamera
+        Of those images, with why each cannot be used.
+
+    Raises
+    ------
+    FormatError
+        If no image of a camera can be used.
+    """
+    words = []
+    for c, camera in enumerate(cameras):
+        if not camera.usable.any():
+            capture = next(k for k, path in enumerate(images.files[c]) if path is not None)
+            raise FormatError(
+                f"{images.captures.path}: no image of camera {camera.name!r} can be used; the first, "
+                f"{images.files[c][capture]}: {camera.excluded[capture]}; correct them, or leave its "
+                "[[camera]] out"
+            )
+    given = sum(path is not None for row in images.files for path in row)
+    lost = [
+        (capture, c, reason)
+        for c, camera in enumerate(cameras)
+        for capture, reason in enumerate(camera.excluded)
+        if reason and images.files[c][capture] is not None
+    ]
+    if lost:
+        capture, c, reason = min(lost)
+        words.append(
+            f"{len(lost)} of {given} images of the rig cannot be used; the first, "
+            f"{images.files[c][capture]} (camera {cameras[c].name}): {reason}"
+        )
+    without = [k for k, path in enumerate(images.files[0]) if path is None]
+    if without:
+        words.append(
+            f"{len(without)} of {len(images.captures.names)} captures have no image of the first camera, "
+            f"{cameras[0].name}; the first is {images.captures.names[without[0]]}"
+        )
+    return tuple(words)
+
+
+def refuse_other_shapes(toml: Path, images: RigImages) -> None:
+    """FormatError where images of a camera can be read, and none has the shape that is given for it."""
+    for c, section in enumerate(images.sections):
+        if section.shape is None:
+            continue
+        first = None
+        for path in images.files[c]:
+            shape = None if path is None else probe(path).shape
+            if shape == section.shape:
+                break
+            first = first or (None if shape is None else (path, shape))
+        else:
+            if first is not None:
+                raise FormatError(
+                    f"{toml}: camera[{c + 1}].shape = {list(section.shape)} of {section.name!r} is that of "
+                    f"none of its images: the first, {first[0]}, is {first[1][0]} x {first[1][1]}; give "
+                    "lines and columns of its images, or leave shape out"
+                )
+
+
 def refuse_asynchronous(images: RigImages) -> None:
     """FormatError where places or angles that cameras give of themselves are not those of one body.
 
@@ -464,4 +535,13 @@ def _speed_words(images: RigImages, apart: Array) -> str:
     return f" ({seconds.min():.2g} to {seconds.max():.2g} s at {np.median(steps):.3g} m/s)"
 
 
-__all__ = ["NO_IMAGE", "RIG_PLACE_SIGMA", "RigImages", "read_rig", "refuse_asynchronous", "rig_camera"]
+__all__ = [
+    "NO_IMAGE",
+    "RIG_PLACE_SIGMA",
+    "RigImages",
+    "lost_images",
+    "read_rig",
+    "refuse_asynchronous",
+    "refuse_other_shapes",
+    "rig_camera",
+]
