@@ -175,6 +175,7 @@ class TestPresets:
         (["all.tif", *MSI, "--bands", "B02,B05,B11,B01"], "bands of 20 and 60 m: their lags are not among"),
         (["all.tif", *MSI], "holds 4 bands; say which they are.*allowed: B02, B08, B03, B04"),
         (["all.tif", *MSI, "--bands", "B02,B03,B04,B11"], "'B11' is no band.*allowed: B02, B08, B03, B04"),
+        (["scene_B02_10m.tif"] * 2 + [*MSI, "--bands", "B02,B03"], "scene_B02_10m.tif is given twice"),
         (["all.tif", *MSI, "--bands", "B02,B03"], "names 2 bands, the images hold 4"),
         (["all.tif", *MSI, "--bands", "B02,B03,B04,B04"], "are both B04"),
         (["all.tif", *MSI, "--lag-sign", "minus"], r"'minus'; allowed: \+, -"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -82,13 +83,38 @@ def test_bands_of_one_file_are_compared_in_pairs(pair, tmp_path):
         (["a.npy", "b.npy", "--mask", "full.npy"], 2, "no usable pixel"),
         (["a.npy", "noise.npy"], 1, "do not show the same"),
         (["a.npy", "missing.tif"], 2, "no such file"),
+        (["ab.tif", "--bands", "all", "--band", "5"], 2, "--band 5 does not exist; the file has 2"),
+        (["a.npy", "b.npy", "--window", "0", "0"], 2, "1 px or more each, are allowed (--window)"),
+        (["a.npy", "b.npy", "--step", "-1", "4"], 2, "1 px or more each, are allowed (--step)"),
+        (["a.npy", "b.npy", "--search", "-1"], 2, "0 to 400 px, the longest side of the images, are allowed"),
+        (["a.npy", "b.npy", "--step", "1000000", "1000000"], 2, "take a smaller step (--step)"),
+        (["a.npy", "large.npy"], 2, "most of its values are too large"),
+        (["a.npy", "huge.npy"], 2, "too large for float32"),
     ],
 )
 def test_what_cannot_be_matched_leaves_nothing_and_says_why(pair, tmp_path, capsys, words, status, said):
     np.save(pair / "flat.npy", np.ones((200, 400), np.float32))
     np.save(pair / "full.npy", np.ones((200, 400), np.uint8))
     np.save(pair / "noise.npy", np.random.default_rng(2).normal(size=(200, 400)))
+    large = np.random.default_rng(2).uniform(0.5, 1.0, (200, 400))
+    np.save(pair / "large.npy", (1e38 * large).astype(np.float32))
+    np.save(pair / "huge.npy", 1e200 * large)
     given = [str(pair / word) if "." in word else word for word in words]
     assert run(["match", *given, "--out", str(tmp_path / "out")]) == status
     error = capsys.readouterr().err
     assert said in error and "Traceback" not in error and not (tmp_path / "out").exists()
+
+
+def test_reasons_add_up_to_the_windows_tried(tmp_path, capsys):
+    # windows that the shift moves out of the second image are not tried; the rest are too small to be
+    # found
+    a, b = shifted_pair((160, 200), (20.0, 0.4), snr=4, seed=5)
+    np.save(tmp_path / "a.npy", a)
+    np.save(tmp_path / "b.npy", b)
+    given = [str(tmp_path / name) for name in ("a.npy", "b.npy")]
+    words = ["match", *given, "--window", "1", "1", "--step", "9", "9"]
+    assert run([*words, "--out", str(tmp_path / "out")]) == 1
+    said = re.search(r"(\d+) of (\d+) windows were kept \(([^)]*)\)", capsys.readouterr().err)
+    assert said is not None
+    reasons = [int(part.split()[0]) for part in said[3].split(", ")]
+    assert int(said[1]) + sum(reasons) == int(said[2])

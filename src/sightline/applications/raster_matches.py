@@ -390,8 +390,12 @@ def match_rasters(
     smaller, those of b.
     """
     reach = SEARCH if search_px is None else search_px
-    if not (np.isfinite(reach) and 0.0 <= reach <= max(*a.shape, *b.shape)):
-        raise InputError(f"`search_px` is {reach:g}; 0 to the side of an image is allowed")
+    longest = max(*a.shape, *b.shape)
+    if not (np.isfinite(reach) and 0.0 <= reach <= longest):
+        raise InputError(
+            f"`search_px` is {reach:g}; 0 to {longest} px, the longest side of the images, are allowed "
+            "(--search)"
+        )
     laid = laid_on(a, b, geometry)
     options = {"min_score": min_score, "max_sigma_px": max_sigma_px, "threads": threads}
     return match_laid(
@@ -429,6 +433,7 @@ def match_laid(
     window, step, size = _windows(laid, default, window, step)
     points = _points(laid.a.shape, size, step)
     shape = (len(np.unique(points[:, 0])), len(np.unique(points[:, 1])))
+    _check_count(len(points), laid, step, size)
     progress("finding the shift that all windows share")
     learnt = learn_shifts(laid.a, laid.b, tuple(laid.offset), reach=reach / k, inside=laid.inside)
     inside = laid.inside(points)
@@ -444,7 +449,7 @@ def match_laid(
     )  # fmt: skip
     found = _without_outliers(found, laid.offset, shape)
     tried = int(inside.sum())
-    _check_enough(found, tried)
+    _check_enough(found[inside])
     common = learnt.common
     return RasterMatches(
         _in_pixels_of_a(found, laid),
@@ -495,8 +500,11 @@ def _windows(
     asked = window or (k * min(default[0], max(shape[0] // 4, 8)), k * min(default[1], max(shape[1] // 4, 8)))
     size = max(asked[0] // k, 2), max(asked[1] // k, 8)
     stride = size if step is None else (max(step[0] // k, 1), max(step[1] // k, 1))
-    if min(asked) < 1 or (step is not None and min(step) < 1):
-        raise InputError(f"window {asked} and step {step} are whole px, 1 or more")
+    for name, given in (("window", window), ("step", step)):
+        if given is not None and min(given) < 1:
+            raise InputError(
+                f"`{name}` is {tuple(given)}; lines and columns, 1 px or more each, are allowed (--{name})"
+            )
     if size[0] > shape[0] or size[1] > shape[1] or min(min(shape), *laid.b.shape) < 24:
         scale = "" if k == 1 else f" (averages over {k} px: those of the other image are as large)"
         raise InputError(
@@ -555,16 +563,32 @@ def _in_pixels_of_a(found: Matches, laid: Overlay) -> Matches:
     return Matches(at, at + shift, k * k * found.covariance_px, found.score, found.status)
 
 
-def _check_enough(found: Matches, tried: int) -> None:
-    """EstimationError where too few windows were found."""
-    kept = int(found.kept.sum())
+def _check_count(count: int, laid: Overlay, step: tuple[int, int], size: tuple[int, int]) -> None:
+    """InputError where the first image holds too few windows, whatever it shows."""
+    if count >= _FEWEST:
+        return
+    lines, columns = (laid.reduced * side for side in laid.a.shape)
+    (high, wide), (down, across) = (np.multiply(laid.reduced, pair) for pair in (size, step))
+    raise InputError(
+        f"windows of {high} x {wide} px every {down} x {across} px: {count} of them lie in an image of "
+        f"{lines} x {columns} px, {_FEWEST} are needed at least; take a smaller step (--step), or smaller "
+        "windows (--window)"
+    )
+
+
+def _check_enough(found: Matches) -> None:
+    """EstimationError where too few of the windows tried were found."""
+    kept, tried = int(found.kept.sum()), len(found)
     if kept >= _FEWEST:
         return
     counts = {name: count for name, count in found.counts().items() if count and name != "kept"}
     said = ", ".join(f"{count} {name}" for name, count in counts.items())
+    advice = "check masks and no-data values, take larger windows, or images that look alike"
+    if tried < _FEWEST:
+        advice = "only so many lie in what the images share; take a smaller step (--step), or smaller windows"
     raise EstimationError(
-        f"{kept} of {tried} windows were kept ({said}); {_FEWEST} are needed at least; check masks and "
-        "no-data values, take larger windows, or images that look alike"
+        f"{kept} of {tried} windows were kept{f' ({said})' if said else ''}; {_FEWEST} are needed at least; "
+        f"{advice}"
     )
 
 

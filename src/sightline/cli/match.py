@@ -176,6 +176,9 @@ def _of_bands(
     probe = open_image(a)
     count = getattr(probe, "count", 1)
     numbers = list(dict.fromkeys(band or range(1, count + 1)))
+    beyond = [number for number in numbers if not 1 <= number <= count]
+    if beyond:
+        raise InputError(f"{a}: --band {beyond[0]} does not exist; the file has {count}; choose 1 to {count}")
     if len(numbers) < 2:
         raise InputError(f"{a}: {len(numbers)} band is to be compared; two are needed at least")
     images = [_opened(a, number, mask) for number in numbers]

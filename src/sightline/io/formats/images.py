@@ -30,6 +30,8 @@ PROBE_LINES = 16
 SATURATED_SHARE = 0.5
 #: Share of pixels at the smallest value met from which an image counts as empty.
 EMPTY_SHARE = 0.9
+#: Values from which on an image is refused: sums of their squares over windows, in float32, overflow.
+LARGEST = 1e15
 
 
 def _as_image(pixels: NDArray[Any]) -> Image:
@@ -413,8 +415,9 @@ def check_content(image: Source, *, may_be_masked: bool = False) -> None:
     Raises
     ------
     FormatError
-        If a probe cannot be read (truncated file), holds no usable pixel, is the same everywhere, or is
-        mostly at its largest (saturated) or smallest (empty) value.
+        If a probe cannot be read (truncated file), holds no usable pixel, mostly values too large to
+        compute with, is the same everywhere, or is mostly at its largest (saturated) or smallest (empty)
+        value.
 
     Notes
     -----
@@ -422,19 +425,26 @@ def check_content(image: Source, *, may_be_masked: bool = False) -> None:
     windows it touches.
     """
     lines, columns = image.shape
-    values, clearest = [], 1.0
+    values, clearest, beyond = [], 1.0, 0
     for first in sorted({0, max(0, lines // 2 - PROBE_LINES // 2), max(0, lines - PROBE_LINES)}):
         window = (first, min(first + PROBE_LINES, lines)), (0, columns)
         data, bad = image.read(*window), image.mask(*window)
         values.append(data.ravel() if bad is None else data[~bad])
+        beyond += int(np.isinf(data).sum())
         clearest = min(clearest, 0.0 if bad is None else _clearest(bad))
     pixels = np.concatenate(values)
+    if pixels.size and float(np.median(np.abs(pixels))) > LARGEST:
+        raise FormatError(
+            f"{image.path}: most of its values are too large ({pixels[0]:.3g} among them; up to {LARGEST:g} "
+            "can be compared); scale them down, or declare them as no data if they are"
+        )
     if pixels.size == 0 and may_be_masked:
         return
     if pixels.size == 0:
         raise FormatError(
-            f"{image.path}: no usable pixel in its first, middle and last lines (no data, NaN or masked); "
-            "nothing can be matched in it; check the image and its mask"
+            f"{image.path}: no usable pixel in its first, middle and last lines (no data, NaN or masked"
+            + (", or too large for float32: scale such values down" if beyond else "")
+            + "); nothing can be matched in it; check the image and its mask"
         )
     if clearest > MAX_MASKED:
         raise FormatError(

@@ -115,7 +115,11 @@ def acquisition_text(
 def _bands(preset: Preset, images: Sequence[Path], names: Sequence[str]) -> list[_Image]:
     """Every band of the images, checked."""
     found: list[tuple[Path, int, int]] = []
+    met: set[Path] = set()
     for path in images:
+        if path.resolve() in met:
+            raise InputError(f"{path} is given twice; give each image of the scene once")
+        met.add(path.resolve())
         check_file(path, "give images of the bands")
         image = open_image(path)
         count = image.count if isinstance(image, RasterImage) else 1

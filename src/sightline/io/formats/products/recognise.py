@@ -28,7 +28,7 @@ _KINDS = (
 KNOWN = (
     "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO), SPOT 6, SPOT 7 and "
     "Pleiades (DIMAP 2, level SENSOR), SPOT 5 (DIMAP 1, level 1A), Pleiades (PHRDIMAP), Sentinel-2 "
-    "granules with their datastrip (L1B) and channels of HiRISE (EDR)"
+    "granules with their datastrip (L1B), channels of HiRISE (EDR) and raw images of JunoCam"
 )
 #: What packed folders begin with.
 _PACKED = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ", "xz"))
