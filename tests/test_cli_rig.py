@@ -121,6 +121,14 @@ SHAPE = "shape = [160, 200]"
             lambda text: text.replace('frames = "frames.csv"', 'frames = "other.csv"'),
             ("no image of camera 'band 3' can be used", "gone-3.tif: no such file"),
         ),
+        (
+            lambda text: "distortion = [1e9, 1e9]".join(text.rsplit("distortion = []", 1)),
+            ("camera[3].distortion = [1000000000.0, 1000000000.0] stretches the frame", "k1, k2"),
+        ),
+        (
+            lambda text: text.replace("distortion = []", "distortion = [-5.0]", 1),
+            ("camera[1].distortion = [-5.0] folds the field of view within the frame",),
+        ),
     ],
 )  # fmt: skip
 def test_a_camera_of_a_rig_that_its_images_contradict_is_refused_at_once(
@@ -133,6 +141,20 @@ def test_a_camera_of_a_rig_that_its_images_contradict_is_refused_at_once(
     error = capsys.readouterr().err
     assert all(words in error for words in said), error
     assert "progress" not in error and not (tmp_path / "out").exists()
+
+
+def test_a_wrong_offset_that_is_given_as_exact_is_named(located, tmp_path, capsys):
+    # the cameras are turned by up to 1.5 degrees, none is what the file gives
+    toml = edited(
+        located[0],
+        tmp_path,
+        lambda text: re.sub(
+            r"(band 3.*?orientation_offset_sigma = )[\d.]+", r"\g<1>0.0", text, flags=re.DOTALL
+        ),
+    )
+    assert run(["georeference", str(toml), "--poses-only", "--out", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert "orientation_offset_sigma = 0" in error and "[[camera]] band 3" in error
 
 
 def test_bands_of_all_cameras_lie_on_one_map(located):

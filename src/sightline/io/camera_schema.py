@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
+from sightline.errors import FormatError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.io.acquisition.schema import SchemaSection
@@ -22,6 +23,8 @@ from sightline.io.quantities import (
     UnitQuaternion,
 )
 
+#: By how many times no lens stretches the frame.
+_MOST_STRETCH = 3.0
 #: Degrees; no lens that maps planes to planes sees more, while a focal length in mm taken for pixels does.
 _WIDEST = 120.0
 
@@ -68,6 +71,41 @@ def field_degrees(detector: AreaDetector) -> tuple[float, float]:
         2.0 * float(np.degrees(np.arctan(0.5 * size / detector.focal_length_px))) for size in detector.shape
     )
     return lines, columns
+
+
+def refuse_folding(detector: AreaDetector, place: str) -> None:
+    """FormatError where distortion folds the frame, or stretches it as no lens does.
+
+    Judged on the circle about the middle of the frame that touches its longer sides: coefficients that are
+    good there may fold the corners, which are left out then.
+
+    Parameters
+    ----------
+    detector : AreaDetector
+    place : str
+        File and key of the distortion.
+    """
+    if not any(detector.distortion):
+        return
+    middle = 0.5 * (np.array(detector.shape) - 1.0)
+    angle = np.linspace(0.0, 2.0 * np.pi, 9)[:-1]
+    pixels = middle + middle.min() * np.column_stack([np.sin(angle), np.cos(angle)])
+    rays = detector.directions(pixels)
+    seen = np.hypot(rays[:, 0], rays[:, 1]) / rays[:, 2]
+    plain = np.linalg.norm(pixels - np.array(detector.principal_point_px), axis=1) / detector.focal_length_px
+    lost = ~np.isfinite(seen)
+    if not lost.any() and not (plain > _MOST_STRETCH * seen).any():
+        return
+    what = (
+        "folds the field of view within the frame"
+        if lost.any()
+        else f"stretches the frame {float(np.max(plain / seen)):.3g}-fold, which no lens does"
+    )
+    raise FormatError(
+        f"{place} = {list(detector.distortion)} {what} (at a tangent of {float(plain.max()):.3g} from the "
+        "axis); k1, k2, p1, p2, k3 in that order, of tangents (px / focal_length_px) and from the scene to "
+        "the image, are expected"
+    )
 
 
 def wide_words(detector: AreaDetector) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from sightline.imaging.rasters import open_raster
 from sightline.io.acquisition.acquired import InputFolder, input_files, sha256
 from sightline.io.acquisition.ground import exchanged_words, raster_corners, surface_of
 from sightline.io.acquisition.schema import WorldSection
-from sightline.io.camera_schema import wide_words
+from sightline.io.camera_schema import refuse_folding, wide_words
 from sightline.io.config import read_toml, validate
 from sightline.io.formats.envi import read_envi_wavelengths
 from sightline.io.formats.gps_places import exchanged
@@ -164,7 +164,8 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         channel_nm = _usual_channels(frames, probes)
     channels = len(channel_nm)
     reasons = excluded(frames, probes, shape, len(camera.channel_nm or ()))
-    detector, focal_sigma, lens_words = sequence_detector(camera, files, frames, shape)
+    key = "camera" if rig is None else "camera[1]"
+    detector, focal_sigma, lens_words = sequence_detector(camera, files, frames, shape, key)
     _check_mosaic(camera, shape, path)
     _check_readout(camera, frames, path)
     bands = {p.bands for p, reason in zip(probes, reasons, strict=True) if not reason}
@@ -246,7 +247,7 @@ def _rig_cameras(
     for number, section in enumerate(rig.sections):
         frames, camera = rig.frames_of(number), section.as_camera()
         shape = camera.shape or shape_of(probe_frames(frames)) or first.shape
-        detector, sigma, _ = sequence_detector(camera, files, frames, shape)
+        detector, sigma, _ = sequence_detector(camera, files, frames, shape, f"camera[{number + 1}]")
         out.append(rig_camera(rig, number, detector, sigma, model))
     return tuple(out)
 
@@ -317,7 +318,11 @@ def _lost(frames: FrameList, reasons: Sequence[str]) -> tuple[str, ...]:
 
 
 def sequence_detector(
-    camera: SequenceCamera, files: InputFolder, frames: FrameList, shape: tuple[int, int]
+    camera: SequenceCamera,
+    files: InputFolder,
+    frames: FrameList,
+    shape: tuple[int, int],
+    key: str = "camera",
 ) -> tuple[AreaDetector, float, tuple[str, ...]]:
     """The detector, 1-sigma (px) of its focal length, and what was noticed.
 
@@ -342,6 +347,8 @@ def sequence_detector(
             "pixels, (line, column)?",
         )
     detector = AreaDetector("camera", shape, focal, principal, distortion, _wavelengths(camera, files, shape))
+    if camera.distortion:
+        refuse_folding(detector, f"{files.toml}: {key}.distortion")
     return detector, sigma, (*words, *wide_words(detector))
 
 

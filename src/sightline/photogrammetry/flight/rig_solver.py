@@ -5,7 +5,7 @@ Not here: the flight of the first camera (``solver.py``), files.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,11 @@ from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import Array, frozen
 from sightline.geometry.surface import Surface
 from sightline.matching.follow import Followed
+from sightline.photogrammetry.block.descent import DivergedError
 from sightline.photogrammetry.block.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.flight.poses import FramePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
-from sightline.photogrammetry.flight.rig import OFFSETS, RigOffsets, given_offsets
+from sightline.photogrammetry.flight.rig import OFFSETS, RigCamera, RigOffsets, given_offsets
 from sightline.photogrammetry.flight.rig_matches import Reach, begin_offsets, find_in_rig, rig_cameras
 from sightline.photogrammetry.flight.rig_poses import RigSolution, adjust_rig, rig_noise
 from sightline.photogrammetry.flight.solver import SequenceSolver, estimated_images, ground_distances
@@ -35,6 +36,15 @@ _POINTS, _CONTRADICTED = 400, 4.0
 _NOISE_ROUNDS = 3
 #: Sightings of a camera from which on its offset is found.
 _LEAST_SIGHTINGS = 20
+
+#: px; how well it is known how a camera is turned before the adjustment, and by what an offset may be wrong.
+_TURN_PX = 3.0
+#: What is said of an adjustment that fails.
+_APART = "the adjustment of the rig does not converge: "
+_CHECK = (
+    "what is given of its cameras contradicts their images; check focal lengths, distortion, offsets and "
+    "their sigmas in each [[camera]]"
+)
 
 Progress = Callable[[int, int], None]
 
@@ -99,18 +109,22 @@ def solve_rig(
     if more is None:
         raise EstimationError("no followed window was found in another camera of the rig; check the cameras")
     given = whole = joined([tracks, more])
+    exact = _exact_words(cameras, offsets)
     solver = SequenceSolver(problem, followed)
     priors = solver.priors(tracks)
     solution = None
     for _ in range(_NOISE_ROUNDS):
         whole = given if solution is None else rig_noise(solution, whole, given, len(cameras), len(problem))
-        solution = adjust_rig(
-            problem.images, problem.rig, whole, problem.known_poses, start=poses, begin=offsets,
-            priors=priors, points=poses.points,
-        )  # fmt: skip
+        try:
+            solution = adjust_rig(
+                problem.images, problem.rig, whole, problem.known_poses, start=poses, begin=offsets,
+                priors=priors, points=poses.points,
+            )  # fmt: skip
+        except DivergedError as error:
+            raise EstimationError(f"{_APART}{exact or _CHECK}") from error
         offsets = solution.offsets
     assert solution is not None
-    _refuse_unseen(solution.offsets)
+    _refuse_unseen(solution.offsets, exact)
     return RigAdjusted(solution.poses, solution.offsets, whole, offset_words(problem, solution.offsets))
 
 
@@ -152,15 +166,18 @@ def solve_capture(problem: SequenceProblem) -> RigAdjusted:
         position_bias=0.0, attitude_bias=0.0, focal_length=0.0,
     )  # fmt: skip
     solution: RigSolution | None = None
-    given = tracks
+    given, exact = tracks, _exact_words(cameras, offsets)
     for _ in range(_NOISE_ROUNDS):
         tracks = given if solution is None else rig_noise(solution, tracks, given, len(cameras), 1)
-        solution = adjust_rig(
-            images, cameras, tracks, known, begin=offsets, priors=priors, points=points
-        )  # fmt: skip
+        try:
+            solution = adjust_rig(
+                images, cameras, tracks, known, begin=offsets, priors=priors, points=points
+            )  # fmt: skip
+        except DivergedError as error:
+            raise EstimationError(f"{_APART}{exact or _CHECK}") from error
         offsets = solution.offsets
     assert solution is not None
-    _refuse_unseen(solution.offsets)
+    _refuse_unseen(solution.offsets, exact)
     # the pose was held, not found: it is as rough as its tables
     rough = problem.known.precision()[0][np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])]
     nothing = np.diag(rough) <= 0.0
@@ -213,10 +230,30 @@ def _size(offset: int, value: float) -> str:
     return f"{1e3 * value:.3g} mm" if offset < 6 else f"{100.0 * value:.2g} %"
 
 
+def _exact_words(cameras: Sequence[RigCamera], begun: RigOffsets) -> str:
+    """Cameras whose images show another turn than that given as exact; "" where there are none."""
+    words = []
+    for c, camera in enumerate(cameras[1:], start=1):
+        angle = float((camera.orientation.inv() * begun.orientation[c]).magnitude())
+        if camera.orientation_sigma == 0.0 and angle * camera.detector.focal_length_px > _TURN_PX:
+            words.append(f"[[camera]] {camera.name} as turned by {np.degrees(angle):.3g} degrees from that")
+    if not words:
+        return ""
+    return (
+        "orientation_offset_sigma = 0 gives orientation_offset as exact, and the images show "
+        f"{', '.join(words)}: give a sigma above 0, or correct the offset"
+    )
+
+
 def _refuse_unmatched(problem: SequenceProblem, failed: dict[str, str]) -> None:
     """EstimationError that names cameras whose turn was not found."""
     if failed:
-        said = "; ".join(f"camera {name}: {words}" for name, words in failed.items())
+        held = {camera.name for camera in problem.rig if camera.orientation_sigma == 0.0}
+        said = "; ".join(
+            f"camera {name}: {words}"
+            + (", its orientation_offset_sigma = 0 says that its offset is exact" if name in held else "")
+            for name, words in failed.items()
+        )
         raise EstimationError(
             f"{len(failed)} of {len(problem.rig)} cameras of the rig could not be matched with the others: "
             f"{said}. Check which image is of which capture, that the cameras expose together, their focal "
@@ -224,14 +261,15 @@ def _refuse_unmatched(problem: SequenceProblem, failed: dict[str, str]) -> None:
         )
 
 
-def _refuse_unseen(offsets: RigOffsets) -> None:
+def _refuse_unseen(offsets: RigOffsets, exact: str) -> None:
     """EstimationError for a camera with hardly any good sighting."""
     few = np.flatnonzero(offsets.sightings < _LEAST_SIGHTINGS)
     if len(few):
         c = int(few[0])
         raise EstimationError(
             f"camera {offsets.names[c]}: {int(offsets.sightings[c])} windows of it go together with those of "
-            f"the others, {_LEAST_SIGHTINGS} are needed; check its images and its lens, or leave it out"
+            f"the others, {_LEAST_SIGHTINGS} are needed; "
+            + (exact or "check its images and its lens, or leave it out")
         )
 
 
