@@ -70,3 +70,15 @@ def test_pictures_without_common_texture_are_reported_in_the_words_of_the_file(p
     said = capsys.readouterr().err
     assert "no point was found in two of 6 pictures" in said and "enlarge height_sigma" in said
     assert "height_range" not in said and "pointing_error" not in said
+
+
+def test_check_describes_a_pass_whose_pictures_are_not_there(pass_, tmp_path, capsys):
+    for name in ("stereo.toml", "cameras.csv", "images.csv"):
+        shutil.copy(pass_ / name, tmp_path / name)
+    assert run(["check", str(tmp_path / "stereo.toml")]) == 1
+    said = capsys.readouterr()
+    assert "2 cameras" in said.out and "converge at" in said.out
+    assert said.err.count("no such file") == 1 and "(and 5 more images)" in said.err
+    # who needs the pictures still refuses
+    assert run(["orient", str(tmp_path / "stereo.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert "no such file" in capsys.readouterr().err and not (tmp_path / "out").exists()

@@ -88,8 +88,10 @@ def describe(file: Path) -> dict[str, Any]:
             description = describe_plan(planned)
             cost = prediction_cost(plan.pair.cameras, plan.shots, plan.points)
         case "stereo":
-            stereo = read_stereo(file, planned=True)
+            stereo = read_stereo(file, planned=True, describe=True)
             description, cost = describe_stereo(stereo), orientation_cost(stereo.problem)
+            description["missing"] = [*stereo.absent, *description["missing"]]
+            description["absent"] = list(stereo.absent)
         case "tdi":
             problem = load_tdi(file)
             description, cost = describe_tdi(problem), tdi_cost(problem)

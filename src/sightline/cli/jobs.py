@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 #: Below the folder of a batch: what is kept of each input, by which a later batch knows what is done.
 RECORDS = ".batch"
 #: Commands that take ``--workers`` in the sense of one job.
-ONE_JOB = frozenset(("recover", "georeference", "orient", "register", "tdi", "layout"))
+ONE_JOB = frozenset(("recover", "georeference", "orient", "register", "tdi", "layout", "match", "tie"))
 #: Those that keep finished stages.
 _STAGED = frozenset(("recover", "georeference"))
 #: s that a job waits for one that still writes into its folder: on a cluster whose scheduler was lost, or cut

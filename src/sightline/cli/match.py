@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
 
 if TYPE_CHECKING:
     from sightline.imaging.source import ImageSource
@@ -83,6 +83,7 @@ def match(
             help="Furthest shift that is looked for, in px of A (64); 0: under 4 px.",
         ),
     ] = None,
+    workers: Workers = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,

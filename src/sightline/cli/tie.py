@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
 
 
 def tie(
@@ -77,6 +77,7 @@ def tie(
             help="Control points of an image, at most (100 of a band, 30 of a frame).",
         ),
     ] = None,
+    workers: Workers = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,

@@ -96,6 +96,8 @@ class Stereo:
         Where points are not found yet.
     inputs : tuple of Path
         Every file that was read or will be.
+    absent : tuple of str
+        Pictures that are not there, where the problem was only to be described.
     """
 
     path: Path
@@ -108,6 +110,7 @@ class Stereo:
     pairs: int | None
     pictures: StereoImages | None
     inputs: tuple[Path, ...] = field(repr=False)
+    absent: tuple[str, ...] = ()
 
     def input_hashes(self) -> dict[str, str]:
         """SHA-256 of every input file by its name (for ``summary.json``)."""
@@ -138,13 +141,15 @@ def read_stereo_file(path: Path) -> StereoFile:
     return validate(StereoFile, read_toml(path), path)
 
 
-def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
+def read_stereo(path: Path, *, planned: bool = False, describe: bool = False) -> Stereo:
     """Everything a STEREO.toml says; errors as of `load_stereo`.
 
-    With `planned`, points need not be there yet: a prediction lays them out.
+    With `planned`, points need not be there yet: a prediction lays them out. With `describe`, pictures need
+    not be there: those that are not are named in `Stereo.absent`.
     """
     file = read_stereo_file(path)
     with input_files(path, file) as files:
+        files.describing = describe
         stereo = _stereo(path, file, files, planned=planned)
     set_source(stereo.problem, stereo)
     set_source(stereo.problem.tracks, stereo)
@@ -226,6 +231,7 @@ def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) 
         None if table is None else table.pairs,
         pictures,
         tuple(files.used),
+        tuple(files.absent),
     )
 
 
@@ -349,16 +355,19 @@ def _pictures(
     """Pictures of the table of images, opened; FormatError for a shape that is not the camera's."""
     path = files(str(file.images))
     table = read_image_list(path, poses)
-    sources = []
+    rows, sources = [], []
     for row, image, mask in zip(table.row, table.files, table.masks, strict=True):
         place = f"{files.toml}: images: {path.name}"
-        source = open_image(files(image, place), 1, None if mask is None else files(mask, place))
         shape = detectors[poses.camera[row]].shape
+        if any(files.lacks(name, shape) for name in (image, mask) if name is not None):
+            continue
+        source = open_image(files(image, place), 1, None if mask is None else files(mask, place))
         if source.shape != shape:
             raise FormatError(
                 f"{path}: {image} has {source.shape[0]} lines x {source.shape[1]} columns, [camera] shape = "
                 f"{list(shape)}; they must agree; are lines and columns exchanged?"
             )
         check_content(source)
+        rows.append(row)
         sources.append(source)
-    return StereoImages(table.row, tuple(sources), file.noise.sigma_px or 0.0)
+    return StereoImages(np.array(rows, dtype=np.intp), tuple(sources), file.noise.sigma_px or 0.0)
