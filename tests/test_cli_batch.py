@@ -40,7 +40,6 @@ def test_a_result_is_called_as_its_file_or_where_files_are_alike_as_their_folder
 @pytest.mark.parametrize(
     ("first", "second"),
     [
-        ("a/strip.toml", "a/strip.toml"),
         ("x/a/strip.toml", "y/a/strip.toml"),
         ("b/strip.toml", "a/b.toml"),
         ("x/a/Strip.toml", "y/A/strip.toml"),
@@ -52,6 +51,11 @@ def test_names_that_still_are_alike_are_refused_and_both_files_named(first, seco
         files.insert(1, Path("c/strip.toml"))
     with pytest.raises(InputError, match=f"{first} and {second} would both write into the folder"):
         job_names(files)
+
+
+def test_a_file_that_is_given_twice_is_named():
+    with pytest.raises(InputError, match=r"a/\.\./a/strip\.toml is given twice"):
+        job_names([Path("a/strip.toml"), Path("b/strip.toml"), Path("a/../a/strip.toml")])
 
 
 @pytest.mark.parametrize(
@@ -225,6 +229,12 @@ def test_wrong_workers_are_refused_before_anything_is_read(tmp_path, monkeypatch
 def test_a_list_without_files_and_one_that_is_not_there_are_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("empty.txt").write_text("# nothing\n")
+    Path("itself.txt").write_text("a.toml\n@itself.txt\n")
+    Path("odd.txt").write_text("a\0.toml\n")
+    assert run("batch @itself.txt --out out".split()) == 2 and run("batch @odd.txt --out out".split()) == 2
+    said = capsys.readouterr().err
+    assert "line 2 is '@itself.txt': a list names no other list" in said and "line 1 holds a NUL" in said
+    assert not Path("out").exists()
     assert run("batch @empty.txt --out out".split()) == 2
     assert run("batch @absent.txt --out out".split()) == 2
     said = capsys.readouterr().err

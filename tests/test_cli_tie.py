@@ -200,6 +200,10 @@ def test_frames_of_a_flight_are_tied_one_by_one(scene, tmp_path):
         ("ortho.tif", ("--image", "XS"), 2, "no image has this name"),
         ("PAN.npy", (), 2, "no georeferencing"),
         ("ortho.tif", ("--geoid", "none.tif"), 2, "none.tif"),
+        ("ortho.tif", ("--geoid", "nan"), 2, "the geoid is given as nan"),
+        ("ortho.tif", ("--reference-sigma", "1e300"), 2, "the sigma of the reference is 1e+300 m"),
+        ("ortho.tif", ("--points", "9" * 25), 2, "control points of an image"),
+        ("ortho.tif", ("--search", "0"), 2, "give more than 0 px"),
     ],
 )
 def test_what_cannot_be_tied_is_refused(scene, tmp_path, capsys, reference, more, status, said):
@@ -212,3 +216,9 @@ def test_a_reference_of_another_place_is_refused(scene, tmp_path, capsys):
     write_map(scene / "far.tif", 9000.0, 9000.0, 1.25, (100, 100), waves, 4)
     assert tie(scene, "strip.toml", tmp_path / "out", reference="far.tif") == 1
     assert "cover 0 %" in capsys.readouterr().err
+
+
+def test_frames_that_show_another_place_are_refused(scene, tmp_path, capsys):
+    """Turned cameras are tried then, of frames too, which are exposed at one instant."""
+    assert tie(scene, "flight.toml", tmp_path / "out", reference="other.tif") == 1
+    assert "do not show the same" in capsys.readouterr().err

@@ -109,8 +109,14 @@ def job_names(files: Sequence[Path]) -> list[str]:
     Raises
     ------
     InputError
-        If names still are alike: both files are named.
+        If a file is given twice, or names still are alike: both files are named.
     """
+    seen: set[str] = set()
+    for file in files:
+        place = os.path.abspath(file)
+        if place in seen:
+            raise InputError(f"{file} is given twice; give each file once")
+        seen.add(place)
     stems = [_safe(file.stem) for file in files]
     often = _counted(stems)
     folders = [_safe(Path(os.path.abspath(file)).parent.name) for file in files]

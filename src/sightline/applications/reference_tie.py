@@ -54,6 +54,8 @@ _SPACING = 8
 _AROUND = 12.0
 #: px; least sigma of a control point's pixel.
 _LEAST_PX = 0.005
+#: m, and control points of an image: more than either makes no sense.
+_LARGEST_SIGMA, _MOST_POINTS = 1e6, 1_000_000
 #: Share of an image that the reference must cover for it to be tried.
 _COVERED = 0.1
 
@@ -206,10 +208,11 @@ def tie_to_reference(
     """
     labels = tuple(names or (f"image {k + 1}" for k in range(len(images))))
     placed, system = _checked(images, cameras, reference, dem, labels, search_px, points)
-    if not (0.0 <= reference_sigma < np.inf and 0.0 <= dem_sigma < np.inf):
-        raise InputError(
-            f"`reference_sigma` and `dem_sigma` are 0 m or more, got {reference_sigma:g} and {dem_sigma:g}"
-        )
+    for what, sigma in (("the reference", reference_sigma), ("the DEM", dem_sigma)):
+        if not 0.0 <= sigma <= _LARGEST_SIGMA:
+            raise InputError(
+                f"the sigma of {what} is {sigma:g} m; 0 (it is exact) to {_LARGEST_SIGMA:g} m is allowed"
+            )
     views = [_View(image, camera, dem, placed, system) for image, camera in zip(images, cameras, strict=True)]
     found, left = _all_matched(views, labels, window, search_px, progress)
     if not found and all(kind is EstimationError for kind, _ in left.values()):
@@ -255,8 +258,13 @@ def _checked(
     """The reference with its map, or what does not fit."""
     if not len(images) == len(cameras) == len(names) > 0:
         raise InputError(f"as many cameras as images, one or more, got {len(cameras)} and {len(images)}")
-    if not (np.isfinite(search_px) and search_px > 0.0) or (points is not None and points < 1):
-        raise InputError(f"`search_px` and `points` are above 0, got {search_px:g} and {points}")
+    if not (np.isfinite(search_px) and search_px > 0.0):
+        raise InputError(
+            f"cameras are sought {search_px:g} px around; give more than 0 px, as far as they may be off "
+            f"({SEARCH:g} unless given)"
+        )
+    if points is not None and not 1 <= points <= _MOST_POINTS:
+        raise InputError(f"{points} control points of an image are wanted; 1 to {_MOST_POINTS} are allowed")
     if not isinstance(reference, PlacedImage):
         raise InputError("the reference has no georeferencing; give an orthoimage with an affine transform")
     flat = dem.crs is None

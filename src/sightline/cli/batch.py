@@ -119,6 +119,14 @@ def listed(files: Sequence[str]) -> list[str]:
             path, "a list of files", most=SMALL, advice="give a file that names one on each line"
         )
         lines = [line.strip() for line in text.splitlines()]
+        for number, line in enumerate(lines, 1):
+            if line.startswith("@"):
+                raise InputError(
+                    f"{path}: line {number} is {line[:60]!r}: a list names no other list; give both lists, "
+                    "or the files of that one"
+                )
+            if "\0" in line:
+                raise InputError(f"{path}: line {number} holds a NUL; no file has such a name")
         found += [str(path.parent / line) for line in lines if line and not line.startswith("#")]
     if not found:
         raise InputError(

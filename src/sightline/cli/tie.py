@@ -14,7 +14,7 @@ def tie(
     acquisition: Annotated[
         Path,
         typer.Argument(
-            metavar="FILE.toml", help="An ACQUISITION ([[band]] or [[frame]]) or a SEQUENCE.toml."
+            metavar="FILE.toml", help="An ACQUISITION (\\[[band]] or \\[[frame]]) or a SEQUENCE.toml."
         ),
     ],
     reference: Annotated[

@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 
 #: Degrees around what cameras see that is read of a large DEM.
 _AROUND = 0.1
+#: m; farther from the ellipsoid lies no body's level surface.
+_FARTHEST_GEOID = 1e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +160,11 @@ def read_ground(path: Path, tied: TiedImages, geoid: str | None) -> Dem:
         except ValueError:
             level = Path(geoid)
             check_file(level, "give a raster of geoid heights, or a number in metres")
+        if isinstance(level, float) and not abs(level) <= _FARTHEST_GEOID:
+            raise InputError(
+                f"the geoid is given as {geoid} m above the ellipsoid; {-_FARTHEST_GEOID:g} to "
+                f"{_FARTHEST_GEOID:g} m are allowed; the Earth's lies between -107 and 86 m"
+            )
     bounds = None if tied.local else _bounds(tied)
     radii = None if tied.radii == WGS84 else tied.radii
     datum = None if level is None else "geoid"

@@ -141,7 +141,9 @@ def _turned(camera: MovingCamera, angles: Array) -> MovingCamera:
     trajectory = camera.trajectory
     motion = trajectory.motion
     if motion is None:
-        motion = Motion.zero(*trajectory.span)
+        first, last = trajectory.span
+        # a frame is exposed at one instant
+        motion = Motion.zero(first, last) if last > first else Motion.zero(first - 0.5, last + 0.5)
     return camera.with_trajectory(trajectory.with_motion(motion.shifted(angles)))
 
 
