@@ -543,6 +543,7 @@ def test_what_is_loaded_has_a_short_repr(recovery, flight, case):
         "load_tdi": sightline.load_tdi(case("tdi").folder.parent / "tdi.toml"),
         "load_instrument": sightline.load_instrument(case("layout").folder.parent / "instrument.toml"),
         "load_stereo": sightline.load_stereo(case("orient").folder.parent / "given" / "stereo.toml"),
+        "load_raster": sightline.load_raster(recovery.scene / "PAN.tif"),
     }
     assert set(loaded) == {name for name in dir(sightline) if name.startswith("load_")}
     for one in loaded.values():

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.imaging.source import ImageSource
+from sightline.result import one_line
 
 __all__ = ["PlacedImage"]
 
@@ -55,6 +56,18 @@ class PlacedImage:
         if transform[0] * transform[4] - transform[1] * transform[3] == 0.0:
             raise InputError(f"`transform` {transform} maps the image onto a line: its determinant is zero")
         object.__setattr__(self, "transform", transform)
+
+    def __repr__(self) -> str:
+        """One line."""
+        (lines, columns), crs = self.shape, self.crs or "none"
+        # of WKT the name, which is the first text in it
+        name = crs.split('"')[1] if crs.count('"') > 1 else crs
+        facts = {
+            "": repr(self.source),
+            "crs": name[:60],
+            "transform": " ".join(f"{v:.7g}" for v in self.transform),
+        }
+        return one_line("PlacedImage", {**facts, "px": f"{lines} x {columns}"})
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -19,7 +19,7 @@ import numpy as np
 from sightline.applications.expected_cost import Cost, frames_cost, spin_cost, strip_cost
 from sightline.applications.line_of_sight import ready_strip
 from sightline.applications.spin_attitude import SpinOptions, seen_again
-from sightline.errors import EstimationError, FormatError, naming
+from sightline.errors import EstimationError, FormatError, InputError, naming
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_files, world_kind
@@ -190,7 +190,7 @@ def _still(config: AcquisitionFile, files: InputFolder) -> str:
     if len(config.band) == 1:
         return (
             f"1 [[band]] ({config.band[0].name}): motion is seen between two or more bands that show the "
-            "same ground at different times; add a band of the same strip"
+            "same ground at different times; add a [[band]] of the same strip"
         )
     grid = None if config.frame else shared_grid(files.grids)
     return "" if grid is None else grid.reason
@@ -211,6 +211,8 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
         As the recovery itself, with the file named; where the images hold no motion.
     """
     frames, given = acquired.frames, acquired.matching
+    if acquired.still and len(acquired.bands) == 1:
+        raise InputError(f"{acquired.path}: {acquired.still}")
     if acquired.still:
         raise EstimationError(f"{acquired.path}: {acquired.still}")
     with naming(acquired.path):

@@ -18,6 +18,7 @@ from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.imaging.placed import PlacedImage
 from sightline.imaging.rasters import open_raster, raster_environment, raster_errors
 from sightline.matching.match_images import MAX_MASKED
+from sightline.result import one_line
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -66,6 +67,11 @@ class RasterImage:
     One dataset handle per thread, because GDAL handles must not be shared; an image that travels to
     another process opens the file there again.
     """
+
+    def __repr__(self) -> str:
+        """One line."""
+        lines, columns = self.shape
+        return one_line(type(self).__name__, {"": self.path.name, "px": f"{lines} x {columns}"})
 
     def __init__(self, path: Path, band: int | str = 1, mask: RasterImage | NpyImage | None = None) -> None:
         """Open the file once to learn its shape."""
@@ -187,6 +193,11 @@ class NpyImage:
     mask : RasterImage, NpyImage or None
         Another source of the same shape whose non-zero pixels are not to be used.
     """
+
+    def __repr__(self) -> str:
+        """One line."""
+        lines, columns = self.shape
+        return one_line(type(self).__name__, {"": self.path.name, "px": f"{lines} x {columns}"})
 
     def __init__(self, path: Path, mask: RasterImage | NpyImage | None = None) -> None:
         """Map the file once to learn its shape."""

@@ -141,7 +141,8 @@ def solve_strip(
     unknown_relief = relief_matters(stars, height_sigma)
     constant, drift = _gauge(strip)
     prior = JointPrior(model.processes(grid), sigmas, constant_sigma=constant, drift_sigma=drift)
-    broad = strip.broad.processes(grid)
+    alike = model.alike(strip.scale, grid.step * grid.count)
+    ample_angles = alike.processes(grid)
     length = before.relief_length if before is not None else 2.0 * strip.half_width
     beside = 0.0
     if unknown_relief:
@@ -160,8 +161,8 @@ def solve_strip(
         # across a gap longer than its memory an autoregression knows no slope of the drift
         long = longest_gap(data) > ORDER
         width = (data.ab.subdiagonals + 1) // data.block
-        apart, broad_apart = (m.apart(grid, width) if long else None for m in (model, strip.broad))
-        ample = JointPrior(broad, sigmas, prior.relief, apart=broad_apart)
+        apart, alike_apart = (m.apart(grid, width) if long else None for m in (model, alike))
+        ample = JointPrior(ample_angles, sigmas, prior.relief, apart=alike_apart)
         ties = tie(rows, grid, data.block) if rows else None
         found = solve_joint(data, replace(prior, apart=apart, ample=ample), ties)
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]

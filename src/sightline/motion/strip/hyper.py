@@ -127,6 +127,25 @@ class PriorModel:
         roll, pitch, turn = (s.scaled(f) for s, f in zip(self.spectra, factors, strict=True))
         return PriorModel((roll, pitch, turn))
 
+    def alike(self, scale: Array, length: float) -> PriorModel:
+        """The model with motions about all axes as large as about that which drifts most (in px).
+
+        Parameters
+        ----------
+        scale : (3,)
+            rad of a pixel, per axis (yaw: of one at the field edge).
+        length : float
+            s; of the strip.
+        """
+        if not all(any(isinstance(c, Matern) for c in s.components) for s in self.spectra):
+            return self  # densities that are given are taken as they are
+        in_px = [s.scaled(1.0 / float(size)) for s, size in zip(self.spectra, scale, strict=True)]
+        largest = in_px[int(np.argmax([_bend(_drift(s), length) for s in in_px]))]
+        roll, pitch, yaw = (s if s is largest else _larger_parts(s, largest, length) for s in in_px)
+        return PriorModel(
+            (roll.scaled(float(scale[0])), pitch.scaled(float(scale[1])), yaw.scaled(float(scale[2])))
+        )
+
     def processes(self, grid: TimeGrid) -> tuple[Autoregressive, Autoregressive, Autoregressive]:
         """Autoregressive processes on the grid."""
         roll, pitch, yaw = (s.autoregressive(grid.step, ORDER, grid.count) for s in self.spectra)

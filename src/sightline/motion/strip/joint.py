@@ -72,7 +72,7 @@ class JointPrior:
     own_precision : (S, S) or None
         Of the constants of attitude sensors, unknowns beside the static parameters.
     ample : JointPrior or None
-        Of motions of ample size, alike on all axes, by which hidden directions are completed; None: this one.
+        Of motions alike on all axes, as large as the largest, which completes hidden drifts; None: this one.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -242,8 +242,8 @@ class JointEstimate:
         -----
         A seed h is completed to the hidden direction h + x by the least informative x:
         ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
-        P is that of ample motions, alike on all axes: one that holds an axis still, as a fitted one may,
-        would rather have the images see something than let that axis move.
+        For drifts P is that of motions as ample about all axes as about the one that moves most: a prior that
+        holds one axis still would rather have the images see something than let that axis move.
         """
         own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
         return _unmixed(self._completed[:, :, [3 * shape + axis for shape, axis in own]], own, self._seeds)
@@ -262,13 +262,27 @@ class JointEstimate:
         for k in range(6):
             seeds[:, k % 3, k] = self._seeds[:, k // 3]
         h = seeds.reshape(-1, 6)
-        if self.ties is None and self._prior.ample is None:
-            factor = self._factor(constants=False)
-        else:  # what sensors see of a motion does not make it less hidden from the images
-            alone = self._prior.ample or replace(self._prior, own_precision=None)
-            factor = _factor(_banded_factor(data, alone), data, alone, constants=False)
+        alone = replace(self._prior, own_precision=None, ample=None)
+        # what sensors see of a motion does not make it less hidden from the images
+        own = (
+            self._factor(constants=False)
+            if self.ties is None
+            else _factor(_banded_factor(data, alone), data, alone, constants=False)
+        )
+        ample = self._prior.ample
+        factors = (
+            own,
+            own if ample is None else _factor(_banded_factor(data, ample), data, ample, constants=False),
+        )
+        # a constant moves the static parameters alone, and ample motions would rather undo it than let them
         top, bottom = data.times(h)
-        x, _ = factor.solve(-top, -bottom)
+        x = np.concatenate(
+            [
+                f.solve(-top[:, k : k + 3], -bottom[:, k : k + 3])[0]
+                for f, k in zip(factors, (0, 3), strict=True)
+            ],
+            axis=1,
+        )
         return np.asarray((h + x).reshape(count, data.block, -1)[:, :3])
 
     def relative_covariance(
