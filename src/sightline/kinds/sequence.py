@@ -22,7 +22,7 @@ from sightline.io.results.cube_summary import cube_summary, earlier_cube, remove
 from sightline.io.results.exports import Exported
 from sightline.io.results.line_of_sight import write_json
 from sightline.io.results.poses import POSES, SIGMAS, in_table_axes, read_pose_covariance
-from sightline.io.results.rig import write_registered
+from sightline.io.results.rig import write_registered_capture
 from sightline.io.results.sequence import write_sequence_result
 from sightline.io.results.sequence_exports import frame_features
 from sightline.io.sequence.load import FrameSequence
@@ -163,7 +163,7 @@ class Poses(ResultKind):
         one = result.rig is not None and len(sequence.problem) == 1
         if one and maps and sequence.cube.make:
             tell("bands laid on the first camera")
-            more["registered"] = write_registered(folder, registered_bands(sequence.problem, result))
+            more["registered"] = write_registered_capture(folder, registered_bands(sequence.problem, result))
         elif maps and sequence.cube.make:
             try:
                 made, files = write_cube(folder, sequence, result, progress=tell)

@@ -92,7 +92,7 @@ def rig_summary(problem: SequenceProblem, found: SequencePoses) -> list[dict[str
     return out
 
 
-def write_registered(folder: Path, bands: Sequence[LaidBand]) -> str:
+def write_registered_capture(folder: Path, bands: Sequence[LaidBand]) -> str:
     """``registered.tif``: all bands of a capture on its first camera, float32, NaN where there is none."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning

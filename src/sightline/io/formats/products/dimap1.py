@@ -24,8 +24,8 @@ from sightline.io.formats.products.makers import (
     line_scan,
     marks_inside,
     orbit_of,
+    record_times,
     some,
-    times_of,
     words,
 )
 from sightline.io.formats.products.product import (
@@ -128,13 +128,13 @@ def _orbit(data: Part, start: str) -> Orbit:
     """Positions and velocities relative to the Earth."""
     rows = some(data, _POINTS, 2)
     place, speed = _vectors(rows, "Location"), _vectors(rows, "Velocity")
-    return orbit_of(data, _POINTS, times_of(rows, "TIME", start), place, speed, inertial=False)
+    return orbit_of(data, _POINTS, record_times(rows, "TIME", start), place, speed, inertial=False)
 
 
 def doris_orbit(data: Part, start: str) -> Orbit:
     """Points of DORIS, in s from an instant of UTC: their labels are TAI, their units cm and mm/s."""
     rows = some(data, _DORIS, 2)
-    t = times_of(rows, "TIME", start) - data.number("Data_Strip/Satellite_Time/TAI_TUC")
+    t = record_times(rows, "TIME", start) - data.number("Data_Strip/Satellite_Time/TAI_TUC")
     place, speed = 1e-2 * _vectors(rows, "Location"), 1e-3 * _vectors(rows, "Velocity")
     return orbit_of(data, _DORIS, t, place, speed, inertial=False)
 
@@ -161,7 +161,7 @@ def _corrected(data: Part, start: str) -> tuple[Array, Array]:
         raise data.refused(_ANGLES, f"has {len(rows)} records within range, two or more are needed")
     angles = np.array([[row.number(key) for key in ("YAW", "PITCH", "ROLL")] for row in rows])
     _check_radians(data, _ANGLES, angles)
-    return times_of(rows, "TIME", start), angles
+    return record_times(rows, "TIME", start), angles
 
 
 def _check_radians(data: Part, name: str, angles: Array) -> None:

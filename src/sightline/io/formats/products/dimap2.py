@@ -35,10 +35,10 @@ from sightline.io.formats.products.makers import (
     one_height,
     orbit_of,
     polynomial_attitude,
+    record_times,
     rotations,
     scaled,
     some,
-    times_of,
     turned_by,
     words,
 )
@@ -172,7 +172,7 @@ def _orbit(data: Part, start: str) -> tuple[Orbit, tuple[str, ...]]:
     rows = some(data, name, 2)
     place = np.array([scaled(row, "LOCATION_XYZ", {"m": 1.0, "km": 1e3}, 3) for row in rows])
     speed = np.array([scaled(row, "VELOCITY_XYZ", {"m/s": 1.0, "km/s": 1e3}, 3) for row in rows])
-    orbit = orbit_of(data, name, times_of(rows, "TIME", start), place, speed, inertial=None)
+    orbit = orbit_of(data, name, record_times(rows, "TIME", start), place, speed, inertial=None)
     if np.array_equal(orbit.velocity, speed):
         return orbit, ()
     return orbit, ("velocities are relative to the stars, on Earth-fixed axes: so they agree with positions",)
@@ -186,7 +186,7 @@ def _attitudes(data: Part, start: str, last: float) -> tuple[Array, Callable[[Ar
         return np.empty(0), polynomial_attitude(data, polynomials, polynomials, start, (0.0, last))
     rows = some(data, name, 2)
     values = np.array([[row.number(f"Q{k}") for k in range(4)] for row in rows])
-    t = times_of(rows, "TIME", start)
+    t = record_times(rows, "TIME", start)
     return t, turned_by(t, rotations(data, name, values))
 
 

@@ -94,7 +94,7 @@ def some(part: Part, name: str, least: int) -> list[Part]:
     return found
 
 
-def times_of(rows: Sequence[Part], name: str, start: str) -> Array:
+def record_times(rows: Sequence[Part], name: str, start: str) -> Array:
     """s (N,) from the instant `start` to that of each row, increasing."""
     zero = parse_utc(start, "start")
     t = np.array([elapsed(row.text(name), zero, f"{row.path}: {row.place}/{name}") for row in rows])

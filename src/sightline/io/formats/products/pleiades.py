@@ -26,9 +26,9 @@ from sightline.io.formats.products.makers import (
     orbit_of,
     polynomial,
     polynomial_attitude,
+    record_times,
     scaled,
     some,
-    times_of,
     words,
 )
 from sightline.io.formats.products.product import Product, ProductBand, RawBands, bands_of, image_name
@@ -113,7 +113,7 @@ def pleiades_orbit(data: Part, start: str) -> Orbit:
     rows = some(data, _POINTS, 2)
     place = np.array([scaled(row, "LOCATION_VALUES", {"m": 1.0, "km": 1e3}, 3) for row in rows])
     speed = np.array([scaled(row, "VELOCITY_VALUES", {"m/s": 1.0, "km/s": 1e3}, 3) for row in rows])
-    return orbit_of(data, _POINTS, times_of(rows, "UTC_TIME", start), place, speed, inertial=True)
+    return orbit_of(data, _POINTS, record_times(rows, "UTC_TIME", start), place, speed, inertial=True)
 
 
 def pleiades_attitude(data: Part, start: str, last: float = 0.0) -> Callable[[Array], Rotation]:

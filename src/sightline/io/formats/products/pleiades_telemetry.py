@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError, reads
 from sightline.geometry.interpolation import interpolate
-from sightline.io.formats.products.makers import rotations, some, times_of, words
+from sightline.io.formats.products.makers import record_times, rotations, some, words
 from sightline.io.formats.products.pleiades import START, WHAT, pleiades_attitude
 from sightline.io.formats.products.tree import Part, read_xml
 
@@ -111,7 +111,7 @@ def _attitudes(data: Part, name: str, label: str, start: str) -> tuple[Array, Ro
     """Labels (s) and rotations of a list of quaternions."""
     rows = some(data, f"{_ATTITUDES}/{name}", 2)
     values = np.array([row.numbers("Q_VALUES", 4) for row in rows])
-    return times_of(rows, label, start), rotations(data, f"{_ATTITUDES}/{name}", values)
+    return record_times(rows, label, start), rotations(data, f"{_ATTITUDES}/{name}", values)
 
 
 def _gyros(data: Part, start: str, ahead: float, angle: str, clock: str) -> tuple[Array, Array]:
@@ -122,7 +122,7 @@ def _gyros(data: Part, start: str, ahead: float, angle: str, clock: str) -> tupl
         lost = next((row for row in rows if words(row, "STATUS", "NOMINAL") != "NOMINAL"), None)
         if lost is not None:
             raise lost.refused("STATUS", "is not NOMINAL: a record of gyros without holes is read")
-        t = times_of(rows, "TAI_TIME", start) - ahead
+        t = record_times(rows, "TAI_TIME", start) - ahead
         read = _unwrapped(rows, angle)
         times.append(t)
         counts.append(
