@@ -42,7 +42,7 @@ def crs_wkt(grid: CubeGrid) -> str:
     return CRS.from_user_input(grid.system.crs).to_wkt(version="WKT1_GDAL")
 
 
-def chunks_of(grid: CubeGrid, layout: BandLayout) -> tuple[int, int, int]:
+def cube_chunks(grid: CubeGrid, layout: BandLayout) -> tuple[int, int, int]:
     """Chunks of the cube: bands, rows, columns."""
     return min(CHUNK_BANDS, len(layout)), min(CHUNK, grid.shape[0]), min(CHUNK, grid.shape[1])
 
@@ -121,12 +121,12 @@ def netcdf_library() -> Any:
 
 
 def write_zarr(path: Path, grid: CubeGrid, layout: BandLayout, blocks: Blocks) -> None:
-    """A Zarr 3 group with consolidated metadata; `blocks` come in the order of `chunks_of`."""
+    """A Zarr 3 group with consolidated metadata; `blocks` come in the order of `cube_chunks`."""
     zarr = zarr_library()
     with zarr.config.set({"threading.max_workers": thread_count()}), naming_file(path):
         group = zarr.create_group(store=path, overwrite=True)
         cube = group.create_array(
-            "cube", shape=(len(layout), *grid.shape), chunks=chunks_of(grid, layout), dtype="float32",
+            "cube", shape=(len(layout), *grid.shape), chunks=cube_chunks(grid, layout), dtype="float32",
             fill_value=np.nan, dimension_names=CUBE_DIMENSIONS, attributes=cube_attributes(grid),
         )  # fmt: skip
         for (bands, rows), pixels in blocks:
@@ -153,7 +153,7 @@ def write_netcdf(path: Path, grid: CubeGrid, layout: BandLayout, blocks: Blocks)
             file.createDimension(name, size)
         cube = file.createVariable(
             "cube", "f4", CUBE_DIMENSIONS, compression="zlib", complevel=_DEFLATE, shuffle=True,
-            chunksizes=chunks_of(grid, layout), fill_value=np.float32(np.nan),
+            chunksizes=cube_chunks(grid, layout), fill_value=np.float32(np.nan),
         )  # fmt: skip
         cube.setncatts(cube_attributes(grid))
         for (bands, rows), pixels in blocks:

@@ -25,8 +25,8 @@ from sightline.io.names import file_stem
 from sightline.io.results.cube_arrays import (
     CHUNK,
     Blocks,
-    chunks_of,
     crs_wkt,
+    cube_chunks,
     netcdf_library,
     write_netcdf,
     write_zarr,
@@ -213,7 +213,7 @@ class CubeFolder:
 
     def _pixels(self) -> Blocks:
         """All pixels, chunk of rows by chunk of rows, and of bands."""
-        height, step = CHUNK, chunks_of(self.grid, self.layout)[0]
+        height, step = CHUNK, cube_chunks(self.grid, self.layout)[0]
         sources = [self.source(band) for band in range(len(self.layout))]
         for first, last in self._blocks(height):
             for k in range(0, len(sources), step):
