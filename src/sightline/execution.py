@@ -418,23 +418,27 @@ def _serve(connection: Connection[Any, Any], threads: int) -> None:
     """What a process of a `ProcessExecutor` does: items one after the other, until nobody asks any more."""
 
     def stop(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # asked once: tidying up is not interrupted
         raise KeyboardInterrupt
 
     # Ctrl-C reaches every process of the terminal: who started this one decides, and asks by SIGTERM
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, stop)
     _limit_blas_of_this_process()
     with suppress(EOFError, OSError, KeyboardInterrupt), threads_limited(threads):
-        while True:
-            function, item = connection.recv()
-            try:
-                answer = True, function(item)
-            except Exception as error:
-                answer = False, error
-            try:
-                connection.send(answer)
-            except (TypeError, AttributeError, ValueError) as error:  # what cannot be pickled
-                connection.send((False, SightlineError(f"an answer cannot be sent: {error}")))
+        try:
+            signal.signal(signal.SIGTERM, stop)
+            while True:
+                function, item = connection.recv()
+                try:
+                    answer = True, function(item)
+                except Exception as error:
+                    answer = False, error
+                try:
+                    connection.send(answer)
+                except (TypeError, AttributeError, ValueError) as error:  # what cannot be pickled
+                    connection.send((False, SightlineError(f"an answer cannot be sent: {error}")))
+        finally:  # it leaves by itself now: asked to, it would end with a traceback
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 class DaskExecutor(_Submitting):
