@@ -57,7 +57,8 @@ def true_poses(scenario: SequenceScenario, points: np.ndarray | None = None) -> 
         position=position, world_from_body=attitude, covariance=np.zeros((count, 6, 6)), bias=np.zeros(6),
         bias_covariance=np.zeros((6, 6)), points=points, residual_px=np.zeros((2 * n, 2)),
         rejected=np.zeros(2 * n, np.bool_), sightings=none + 9, roughness=np.ones(6), scale=1.0,
-        bow=np.zeros((1, 3)),
+        bow=np.zeros((1, 3)), scale_sigma=0.01, next_covariance=np.zeros((count - 1, 6, 6)),
+        pair_covariance=None,
     )  # fmt: skip
     followed = Followed(
         tracks.image, tracks.point, tracks.pixels, tracks.sigma_px, none, np.zeros((count, 4)), none,

@@ -85,7 +85,7 @@ def flown(count, *, lines=1, idle=(), every=10, radii=None, sigma=None, per_fram
         position, attitude, covariance, np.array([0.3, 0.1, 2.0, 1e-3, 2e-3, 0.0]),
         np.diag(np.square([1.99, 1.5, 0.2, 1e-3, 1e-3, 2e-3])), points, np.full((len(image), 2), 0.1),
         np.zeros(len(image), dtype=bool), np.bincount(image, minlength=count), np.ones(6), 1.0,
-        np.full((lines, 3), 1e-4),
+        np.full((lines, 3), 1e-4), 0.01, np.zeros((count - 1, 6, 6)), None,
     )  # fmt: skip
     followed = Followed(
         image, point, np.zeros((len(image), 2)), np.full(len(image), 0.1),

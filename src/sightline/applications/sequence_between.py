@@ -76,7 +76,12 @@ def interpolate_between(found: SequencePoses, way: str) -> SequencePoses:
     return replace(
         found,
         poses=replace(
-            poses, position=frozen(position), world_from_body=attitude, covariance=frozen(covariance)
+            poses,
+            position=frozen(position),
+            world_from_body=attitude,
+            covariance=frozen(covariance),
+            next_covariance=frozen(np.full((len(problem) - 1, 6, 6), np.nan)),
+            pair_covariance=None,
         ),
         source=tuple(SOLVED if each else between for each in solved),
         reason=tuple("" if each else f"between frames of the subset: {way}" for each in solved),

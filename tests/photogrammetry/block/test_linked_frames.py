@@ -132,6 +132,15 @@ def test_lines_by_themselves_give_the_numbers_of_one_band(lines, focal):
     size = np.sqrt(np.einsum("kii->ki", expected))
     error = (linked.departure_covariance(common) - expected) / (size[:, :, None] * size[:, None, :])
     assert np.abs(error).max() < 1e-8
+    # sums of one number of one frame each: their covariance with all is a column of the whole covariance
+    frame, number = np.array([0, 5, 11]), np.array([0, 4, 2])
+    forms = np.zeros((*size.shape, 3))
+    forms[frame, number, np.arange(3)] = 1.0
+    of_forms = plain.form_covariance(common, forms)
+    unit = size[:, :, None] * size[frame, number]
+    error = of_forms[frame, :, np.arange(3)] - expected[frame, :, number]
+    assert np.abs(error / unit[frame, :, np.arange(3)]).max() < 1e-8
+    assert np.abs((linked.form_covariance(common, forms) - of_forms) / unit).max() < 1e-8
     own = rng.standard_normal((len(flight.images), 6))
     points = rng.standard_normal((len(curvature.of_points), 3))
     right = rng.standard_normal(len(common))
@@ -162,6 +171,9 @@ def test_a_flight_is_solved_alike_in_either_order(monkeypatch):
     apart = (linked.covariance - plain.covariance) / (sigma[:, :, None] * sigma[:, None, :])
     assert np.abs(apart).max() < 1e-6
     np.testing.assert_allclose(linked.bow, plain.bow, rtol=1e-6)
+    apart = (linked.next_covariance - plain.next_covariance) / (sigma[1:, :, None] * sigma[:-1, None, :])
+    assert np.abs(apart).max() < 1e-6
+    assert linked.scale_sigma == pytest.approx(plain.scale_sigma, rel=1e-6)
     known = np.sqrt(np.diag(plain.bias_covariance))
     assert (np.abs(linked.bias - plain.bias) < 1e-5 * known).all()
     apart = (linked.bias_covariance - plain.bias_covariance) / np.outer(known, known)

@@ -93,6 +93,11 @@ def test_blocks_joined_are_the_flight_solved_at_once(problem, uninterrupted):
     ratio = np.sqrt(np.einsum("kii->ki", blocks.poses.covariance)) / sigma
     assert np.abs(np.median(ratio, axis=0) - 1.0).max() < 0.1
     np.testing.assert_allclose(blocks.poses.bow, whole.poses.bow, rtol=0.1)
+    np.testing.assert_allclose(blocks.poses.scale_sigma, whole.poses.scale_sigma, rtol=0.1)
+    unit = sigma[1:, :, None] * sigma[:-1, None, :]
+    apart = (blocks.poses.next_covariance - whole.poses.next_covariance) / unit
+    # as of the sigmas: some 10 % of each, 20 % of its square
+    assert np.sqrt((apart**2).mean()) < 0.2
 
 
 class Stopped(Exception):

@@ -107,13 +107,24 @@ def test_frames_are_found_relative_to_each_other_far_better_than_the_tables_say(
 
 def test_sigmas_of_every_frame_hold_over_many_flights():
     # the datum is one draw a flight, of which the middle frame tells all
-    nees = []
+    nees, others = [], []
     for seed in range(50):
         flight = Flight(seed)
         found = flight.solve()
-        error = flight.errors(found)[15]
-        nees.append(error @ np.linalg.solve(found.covariance[15], error))
+        every = flight.errors(found)
+        nees.append(every[15] @ np.linalg.solve(found.covariance[15], every[15]))
+        # over five frames (from one to the next the path, as rough as over longer steps, says too little: a
+        # quarter on the safe side), and the size of the whole
+        both = found.pair_covariance[20, :, 15]
+        covariance = found.covariance[15] + found.covariance[20] - both - both.T
+        step = every[20] - every[15]
+        about = found.position - found.position.mean(axis=0)
+        scale = (about * every[:, :3]).sum() / (about**2).sum() / found.scale_sigma
+        others.append(step @ np.linalg.solve(covariance, step) + scale**2)
+        np.testing.assert_allclose(found.pair_covariance[15, :, 15], found.covariance[15], rtol=1e-6)
+        np.testing.assert_array_equal(found.pair_covariance[16, :, 15], found.next_covariance[15])
     assert_consistent(nees, 6)
+    assert_consistent(others, 7)
 
 
 def test_biases_of_the_tables_are_found_where_the_ground_tells_them():

@@ -7,7 +7,8 @@ first nine columns.
 
 ``covariance.npz``: ``frame`` (M,) names, ``covariance`` (M, 6, 6) of position (m, world axes) and angles
 (rad, body axes), ``datum`` (6,) the constant errors found of the tables (table less truth: position,
-attitude) and ``datum_covariance`` (6, 6).
+attitude) and ``datum_covariance`` (6, 6), ``next_covariance`` (M - 1, 6, 6) of each frame with the one before
+it, ``pair_covariance`` (M, 6, M, 6) of all with each other where they are few, ``scale_sigma``.
 
 Not here: poses for other programs (``io/formats/colmap.py``, ``io/formats/opensfm.py``,
 ``io/formats/odm.py``, ``io/formats/angle_tables.py``).
@@ -168,13 +169,22 @@ class PoseCovariance(ReadOnlyArrays):
     datum_covariance : (6, 6)
     focal_length : FocalLength or None
         Where it was found with the poses.
+    next_covariance : (M - 1, 6, 6)
+        Of each frame but the first (rows) with the one before it (columns); NaN where it is not known.
+    pair_covariance : (M, 6, M, 6) or None
+        Of all frames with each other; None of flights of many frames.
+    scale_sigma : float
+        Relative 1-sigma of the size of the flight as a whole.
     """
 
     frames: tuple[str, ...]
     covariance: Array
     datum: Array
     datum_covariance: Array
-    focal_length: FocalLength | None = None
+    focal_length: FocalLength | None
+    next_covariance: Array
+    pair_covariance: Array | None
+    scale_sigma: float
 
 
 def write_pose_covariance(path: Path, given: PoseCovariance) -> None:
@@ -182,6 +192,8 @@ def write_pose_covariance(path: Path, given: PoseCovariance) -> None:
     focal, more = given.focal_length, dict[str, Any]()
     if focal is not None:
         more = {"focal_length_px": focal.px, "focal_length_covariance": focal.covariance}
+    if given.pair_covariance is not None:
+        more["pair_covariance"] = given.pair_covariance
     with whole(path) as draft:
         np.savez_compressed(
             draft,
@@ -189,6 +201,8 @@ def write_pose_covariance(path: Path, given: PoseCovariance) -> None:
             covariance=given.covariance,
             datum=given.datum,
             datum_covariance=given.datum_covariance,
+            next_covariance=given.next_covariance,
+            scale_sigma=given.scale_sigma,
             **more,
         )
 
@@ -199,21 +213,26 @@ def read_pose_covariance(path: Path) -> PoseCovariance:
     file = read_arrays(path, what, advice)
     with foreign_errors(path, f"cannot be read as {what}", advice):
         frames = tuple(str(word) for word in file["frame"])
-        arrays = [np.asarray(file[k], dtype=np.float64) for k in ("covariance", "datum", "datum_covariance")]
+        names = ("covariance", "datum", "datum_covariance", "next_covariance")
+        arrays = [np.asarray(file[k], dtype=np.float64) for k in names]
+        count, scale = len(frames), float(file["scale_sigma"])
+        pairs = None
+        if "pair_covariance" in file:
+            pairs = frozen(np.asarray(file["pair_covariance"], dtype=np.float64).reshape(count, 6, count, 6))
         focal = None
         if "focal_length_px" in file:
             row = np.asarray(file["focal_length_covariance"], dtype=np.float64)
             focal = FocalLength(float(file["focal_length_px"]), frozen(row.reshape(7)))
     shapes = [array.shape for array in arrays]
-    if shapes != [(len(frames), 6, 6), (6,), (6, 6)]:
+    if shapes != [(count, 6, 6), (6,), (6, 6), (max(count - 1, 0), 6, 6)]:
         raise FormatError(f"{path}: arrays of shapes {shapes} for {len(frames)} frames")
-    covariance, datum, datum_covariance = (frozen(array) for array in arrays)
+    covariance, datum, datum_covariance, following = (frozen(array) for array in arrays)
     variances = [covariance[:, range(6), range(6)].ravel(), datum_covariance.diagonal()]
     if focal is not None:
         variances.append(focal.covariance[6:])
     if (np.concatenate(variances) < 0.0).any() or (focal is not None and not focal.covariance[6] > 0.0):
         raise FormatError(f"{path}: holds a variance that is not above 0; {advice}")
-    return PoseCovariance(frames, covariance, datum, datum_covariance, focal)
+    return PoseCovariance(frames, covariance, datum, datum_covariance, focal, following, pairs, scale)
 
 
 def pose_axes(world: WorldSection, radii: tuple[float, float] | None) -> tuple[Array, Rotation]:

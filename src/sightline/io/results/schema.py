@@ -615,6 +615,7 @@ class SequenceSummary(RunSummary):
     datum: dict[str, DatumPart | None] = _is("m and rad: constant errors of the tables; null: none sought")
     tables: dict[str, TablePart] = _is("positions, attitudes: whether they go with the poses found")
     focal_length: FoundFocal | None = _is("Where it was found with the poses")
+    scale_sigma: Number = _is("Relative 1-sigma of the size of the flight as a whole")
     rig: list[RigEntry] | None = _may("Cameras of a rig; null, or left out, of one camera")
     bow: list[dict[str, float]] = _is("rad: bends that were left free, by axis")
     sightings: SightingCounts = _is("Windows followed from frame to frame")

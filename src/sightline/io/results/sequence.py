@@ -154,6 +154,7 @@ def summarize_sequence(
         "datum": _datum(sequence, found),
         "tables": _tables(sequence, found),
         "focal_length": _focal_length(sequence, found),
+        "scale_sigma": poses.scale_sigma,
         "rig": rig_summary(problem, found),
         "bow": [dict(zip(DATUM[3:], map(float, bow), strict=True)) for bow in poses.bow],
         "sightings": _sightings(found),

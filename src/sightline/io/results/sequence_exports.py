@@ -116,12 +116,16 @@ def write_sequence_poses(
         given = problem.detector.focal_length_px
         row = np.append(given * turn @ poses.focal.with_bias, (given * poses.focal.sigma) ** 2)
         focal = FocalLength(poses.detector(problem.detector).focal_length_px, frozen(row))
+    pairs = poses.pair_covariance
+    if pairs is not None:
+        pairs = frozen(np.einsum("ij,mjnk,lk->minl", turn, pairs, turn))
     write_pose_covariance(
         folder / "covariance.npz",
         PoseCovariance(
-            problem.frames, covariance, turn @ poses.bias, turn @ poses.bias_covariance @ turn.T, focal
+            problem.frames, covariance, turn @ poses.bias, turn @ poses.bias_covariance @ turn.T, focal,
+            frozen(turn @ poses.next_covariance @ turn.T), pairs, poses.scale_sigma,
         ),
-    )
+    )  # fmt: skip
 
 
 def write_pose_exports(

@@ -23,6 +23,7 @@ from sightline.photogrammetry.block.reduced import (
     PointsEliminated,
     PointsFirst,
     PosesFirst,
+    gather,
     poses_first,
 )
 from sightline.photogrammetry.sightings import Index
@@ -205,11 +206,32 @@ class LinkedFrames:
 
     def solve(self, shots: Array, points: Array, common: Array, step: Array) -> tuple[Array, Array]:
         """Steps (K, 6) and (n, 3) for right-hand sides, the globals having taken `step` (G,)."""
-        bands, links = self._factor.solve(*self._condensed(shots, points, common), step)
-        own_step = np.empty(shots.shape)
+        own_step = self._placed(*self._condensed(shots, points, common), step)
+        return own_step, self._left.points(points, own_step, step)
+
+    def form_covariance(self, covariance: Array, forms: Array) -> Array:
+        """Covariance (M, D, n) of all departures with `forms` (M, D, n), weights of n sums of them.
+
+        `covariance` (G, G) is that of the globals.
+        """
+        own, common = gather(self._unknowns, forms)
+        out = np.empty(forms.shape)
+        for k in range(forms.shape[2]):
+            halves, right = self._factor.condense(
+                [own[s, :, k].ravel() for s in self._shots],
+                np.concatenate([own[self._links, :, k].ravel(), common[:, k]]),
+            )
+            step = covariance @ self._factor.left(right)
+            out[:, :, k] = self._unknowns.departures(self._placed(halves, right, step), step)
+        return out
+
+    def _placed(self, halves: list[Array], right: Array, step: Array) -> Array:
+        """Steps (K, 6) of the shots in their order."""
+        bands, links = self._factor.solve(halves, right, step)
+        own_step = np.empty((self._unknowns.shots, 6))
         for rows, solved in zip([*self._shots, self._links], [*bands, links], strict=True):
             own_step[rows] = solved.reshape(-1, 6)
-        return own_step, self._left.points(points, own_step, step)
+        return own_step
 
     def departure_covariance(self, covariance: Array) -> Array:
         """Covariance (M, D, D) of the departure of each image, `covariance` (G, G) that of the globals."""

@@ -129,9 +129,10 @@ class PoseUnknowns(ReadOnlyArrays):
         return pulled + self.pull, cost + 2.0 * float((own * self.pull).sum())
 
     def departures(self, own: Array, common: Array) -> Array:
-        """x (M, D) of all images: `own` (K, 6 n) and `common` (G,) unknowns."""
-        x = np.einsum("kij,kj->ki", self.by_shot, own) + self.by_global @ common
-        return np.ascontiguousarray(x.reshape(self.shots, self.slots, -1)[self.shot, self.slot])
+        """x (M, D, ...) of all images: `own` (K, 6 n, ...) and `common` (G, ...) unknowns."""
+        x = np.einsum("kij,kj...->ki...", self.by_shot, own) + self.by_global @ common
+        split = x.reshape(self.shots, self.slots, self.width, *x.shape[2:])
+        return np.ascontiguousarray(split[self.shot, self.slot])
 
 
 def pose_unknowns(

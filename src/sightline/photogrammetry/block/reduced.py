@@ -339,6 +339,17 @@ class PointsFirst:
         own_step = (solved - self._bridge @ step).reshape(shots.shape)
         return own_step, self._left.points(points, own_step, step)
 
+    def form_covariance(self, covariance: Array, forms: Array) -> Array:
+        """Covariance (M, D, n) of all departures with `forms` (M, D, n), weights of n sums of them.
+
+        `covariance` (G, G) is that of the globals.
+        """
+        own, common = gather(self._unknowns, forms)
+        flat = own.reshape(self._factor.n, -1)
+        step = covariance @ (common - self._bridge.T @ flat)
+        taken = self._factor.solve(flat) - self._bridge @ step
+        return self._unknowns.departures(taken.reshape(own.shape), step)
+
     def departure_covariance(self, covariance: Array) -> Array:
         """Covariance (M, D, D) of the departure of each image, `covariance` (G, G) that of the globals."""
         u = self._unknowns
@@ -392,13 +403,16 @@ def invert_points(of_points: Array) -> Array:
 
 
 def gather(unknowns: PoseUnknowns, by_image: Array) -> tuple[Array, Array]:
-    """Right-hand sides of the shots' own (K, 6 n) and global (G,) unknowns of one (M, D) of departures."""
+    """Right-hand sides of the shots' own (K, 6 n, ...) and global (G, ...) unknowns.
+
+    `by_image` (M, D, ...) is one of departures, or several beside each other.
+    """
     shots, slots, width = unknowns.shots, unknowns.slots, unknowns.width
-    stacked = np.zeros((shots, slots, width))
+    stacked = np.zeros((shots, slots, *by_image.shape[1:]))
     stacked[unknowns.shot, unknowns.slot] = by_image
-    flat = stacked.reshape(shots, slots * width)
-    own = np.einsum("kai,ka->ki", unknowns.by_shot, flat)
-    return own, np.einsum("kag,ka->g", unknowns.by_global, flat, optimize=True)
+    flat = stacked.reshape(shots, slots * width, *by_image.shape[2:])
+    own = np.einsum("kai,ka...->ki...", unknowns.by_shot, flat)
+    return own, np.einsum("kag,ka...->g...", unknowns.by_global, flat, optimize=True)
 
 
 UNSOLVABLE = (

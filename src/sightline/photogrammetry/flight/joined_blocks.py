@@ -28,8 +28,9 @@ from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPri
 from sightline.photogrammetry.block.pose_unknowns import PoseUnknowns
 from sightline.photogrammetry.block.reduced import PointsEliminated, gather
 from sightline.photogrammetry.flight.focal import FocalStretch, common_errors, globals_of
-from sightline.photogrammetry.flight.path import trend_forms
+from sightline.photogrammetry.flight.path import scale_form, trend_forms
 from sightline.photogrammetry.flight.poses import (
+    POSE_ORDER,
     FramePoses,
     RoughPoses,
     bias_rows,
@@ -197,7 +198,7 @@ class _Forward:
     factor: BlockwiseFactor
     information: Array  # (G, G)
     right: Array  # (G,)
-    trends: Array  # (G, 3 S): of the forms whose variance is the bow's
+    forms: Array  # (G, 3 S + 1): of those whose variances are the bow's and the scale's
     cost: float
     decrease: float  # promised by frames and points, the globals held
 
@@ -237,9 +238,10 @@ class _Whole:
         """Equations eliminated, and what they say of the globals."""
         b = 6 * (self.reach + 1) - 1
         globals_ = self.unknowns.globals
-        trend = trend_forms(self.images.t, self.unknowns.width)
-        factor = BlockwiseFactor(self.store.folder, b, globals_ + 1 + trend.shape[2])
-        own_trend, common_trend = _gathered(self.unknowns, trend)
+        width, place_now = self.unknowns.width, self.images.position + self.moved[:, 3:]
+        forms = np.concatenate([trend_forms(self.images.t, width), scale_form(place_now, width)], axis=2)
+        factor = BlockwiseFactor(self.store.folder, b, globals_ + 1 + forms.shape[2])
+        own_forms, common_forms = gather(self.unknowns, forms)
         information = np.diag(self.unknowns.global_information)
         pull = -self.unknowns.global_information * self.common
         cost, alone = float(-pull @ self.common) + self.unknowns.rest, 0.0
@@ -250,14 +252,14 @@ class _Whole:
             alone += float((by_point * e.left.points(by_point, np.zeros_like(own), 0.0 * common)).sum())
             own, common = e.left.eliminate(own, by_point, common)
             information, pull, cost = information + corner, pull + common, cost + more
-            sides = np.concatenate([border, own[:, :, None], own_trend[place.first : place.end]], axis=2)
+            sides = np.concatenate([border, own[:, :, None], own_forms[place.first : place.end]], axis=2)
             # what lies beyond a block's own frames is the next one's
             sides[place.last - place.first :, :, globals_ + 1 :] = 0.0
             full = np.zeros((b + 1, band.shape[1]))
             full[: len(band)] = band
             factor.eliminate(full, sides.reshape(-1, sides.shape[2]), 6 * (place.last - place.first))
         information -= factor.gram[:globals_, :globals_]
-        right = np.concatenate([pull[:, None], common_trend], axis=1) - factor.gram[:globals_, globals_:]
+        right = np.concatenate([pull[:, None], common_forms], axis=1) - factor.gram[:globals_, globals_:]
         alone += float(factor.gram[globals_, globals_])
         return _Forward(factor, information, right[:, 0], right[:, 1:], cost, alone)
 
@@ -280,23 +282,28 @@ class _Whole:
         self.moved = np.concatenate([turned.as_rotvec(), self.moved[:, 3:] + change[:, 3:6]], axis=1)
         self.unknowns = self._unknowns()
 
-    def covariance(self, factor: BlockwiseFactor, of_globals: Array) -> Array:
-        """(M, D, D) of the departures (turn, move, stretch where it is sought) of all frames."""
+    def covariance(self, factor: BlockwiseFactor, of_globals: Array) -> tuple[Array, Array]:
+        """Of the departures (turn, move, stretch where it is sought) of all frames.
+
+        (M, D, D) of each with itself, (M - 1, D, D) of each but the first with the one before it.
+        """
         u = self.unknowns
         combine = np.eye(len(factor.gram))[:, : u.globals]
-        out = np.zeros((len(self.images), u.width, u.width))
-        for number, bridge, inverse in factor.backward(combine, 5):
+        inner, later = np.zeros((2, len(self.images), 6, 6))
+        common = np.zeros(u.by_global.shape)
+        for number, bridge, inverse in factor.backward(combine, 11):
             place = self.store.ranges[number]
             frames, count = slice(place.first, place.last), place.last - place.first
-            inner = np.zeros((count, 6, 6))
             for a in range(6):
-                for b in range(a + 1):
-                    inner[:, a, b] = inner[:, b, a] = inverse[a - b, b::6]
-            by_shot = u.by_shot[frames]
-            common = u.by_global[frames] - by_shot @ bridge.reshape(count, 6, -1)
-            out[frames] = by_shot @ inner @ np.swapaxes(by_shot, 1, 2)
-            out[frames] += common @ of_globals @ np.swapaxes(common, 1, 2)
-        return out
+                for b in range(6):
+                    later[frames, a, b] = inverse[6 + a - b, b::6]
+                    if b <= a:
+                        inner[frames, a, b] = inner[frames, b, a] = inverse[a - b, b::6]
+            common[frames] = u.by_global[frames] - u.by_shot[frames] @ bridge.reshape(count, 6, -1)
+        back = np.swapaxes(common, 1, 2)
+        own = u.by_shot @ inner @ np.swapaxes(u.by_shot, 1, 2) + common @ of_globals @ back
+        following = u.by_shot[1:] @ later[:-1] @ np.swapaxes(u.by_shot[:-1], 1, 2)
+        return own, following + common[1:] @ of_globals @ back[:-1]
 
 
 def _part(unknowns: PoseUnknowns, place: BlockRange) -> PoseUnknowns:
@@ -325,14 +332,6 @@ def _part(unknowns: PoseUnknowns, place: BlockRange) -> PoseUnknowns:
         pull=frozen(pull),
         rest=0.0,
     )
-
-
-def _gathered(unknowns: PoseUnknowns, forms: Array) -> tuple[Array, Array]:
-    """Right-hand sides (K, 6, n) and (G, n) of forms (M, D, n) of the departures."""
-    parts = [gather(unknowns, forms[:, :, k]) for k in range(forms.shape[2])]
-    if not parts:
-        return np.zeros((unknowns.shots, 6, 0)), np.zeros((unknowns.globals, 0))
-    return np.stack([own for own, _ in parts], axis=2), np.stack([common for _, common in parts], axis=1)
 
 
 def join_blocks(
@@ -384,13 +383,13 @@ def join_blocks(
 
 def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses) -> FramePoses:
     """The solution as poses with covariance."""
-    factor, trends = found.factor, found.trends
-    order = [3, 4, 5, 0, 1, 2]
-    covariance = whole.covariance(factor, of_globals)[:, order][:, :, order]
+    factor, forms = found.factor, found.forms
+    covariance, following = (c[:, POSE_ORDER][:, :, POSE_ORDER] for c in whole.covariance(factor, of_globals))
     bias, bias_covariance, focal = common_errors(
         whole.common, of_globals, bias_rows(whole.known), whole.known.focal_length
     )
-    variance = np.diag(factor.gram)[len(trends) + 1 :] + np.einsum("gk,gh,hk->k", trends, of_globals, trends)
+    variance = np.diag(factor.gram)[len(forms) + 1 :] + np.einsum("gk,gh,hk->k", forms, of_globals, forms)
+    sigma = np.sqrt(variance)
     points = np.full((whole.store.points, 3), np.nan)
     residual, rejected = np.zeros((whole.store.sightings, 2)), np.ones(whole.store.sightings, dtype=bool)
     for at, names, places, left, used in _solved_blocks(whole):
@@ -408,7 +407,10 @@ def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses)
         start.sightings,
         frozen(whole.roughness),
         start.scale,
-        frozen(np.sqrt(variance).reshape(-1, 3)),
+        frozen(sigma[:-1].reshape(-1, 3)),
+        float(sigma[-1]),
+        frozen(following),
+        None,
         focal,
     )
 

@@ -172,3 +172,21 @@ def trend_forms(t: Array, width: int = 6) -> Array:
             for axis in range(3):
                 out[rows, axis, number, axis] = place / (len(rows) * size)
     return out.reshape(len(t), width, -1)
+
+
+def scale_form(position: Array, width: int = 6) -> Array:
+    """Weights (M, D, 1) of departures that give the relative change of size of a flight.
+
+    Parameters
+    ----------
+    position : (M, 3)
+        m; about their middle, departures are projected on them. All 0 where they lie in one place.
+    width : int
+        D, numbers of a departure; moves are the fourth to the sixth.
+    """
+    out = np.zeros((len(position), width, 1))
+    about = position - position.mean(axis=0)
+    size = float((about**2).sum())
+    if size > 0.0:
+        out[:, 3:6, 0] = about / size
+    return out

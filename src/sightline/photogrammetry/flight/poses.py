@@ -30,10 +30,9 @@ from sightline.photogrammetry.block.descent import (
     seen_twice,
 )
 from sightline.photogrammetry.block.linked_frames import LinkedFrames
-from sightline.photogrammetry.block.observability import observability
 from sightline.photogrammetry.block.point_priors import PointPriors
 from sightline.photogrammetry.block.pose_unknowns import STRETCH, PoseUnknowns
-from sightline.photogrammetry.block.reduced import PointsFirst, gather
+from sightline.photogrammetry.block.reduced import PointsFirst
 from sightline.photogrammetry.flight.focal import (
     FocalStretch,
     common_errors,
@@ -47,6 +46,7 @@ from sightline.photogrammetry.flight.path import (
     path_precision,
     path_roughness,
     path_turns,
+    scale_form,
     stretches,
     trend_forms,
 )
@@ -59,6 +59,12 @@ _LOOSE_ROUGHNESS = 1e8
 _ROUNDS = 2
 #: Steps end when the next would lower the cost by less (chi-square units): a hundredth of a sigma.
 _CONVERGED = 1e-4
+#: Frames up to which the covariance of all poses with each other is kept: 3 MB.
+MOST_PAIRED = 100
+#: Frames whose covariance with all others is computed at once.
+_PAIRED_AT_ONCE = 50
+#: Position (world axes), then angles (body axes), in departures.
+POSE_ORDER = [3, 4, 5, 0, 1, 2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +166,13 @@ class FramePoses(ReadOnlyArrays):
     bow : (S, 3)
         rad, 1-sigma of how each of S stretches is bent about body axes: of the even trend of the angles'
         errors from its first frame to its last, rms over it.
+    scale_sigma : float
+        Relative 1-sigma of how large the flight is as a whole, by its positions; 0 of a single frame.
+    next_covariance : (M - 1, 6, 6)
+        Of the pose of each frame but the first (rows) with that of the frame before it (columns), as of
+        `covariance`.
+    pair_covariance : (M, 6, M, 6) or None
+        Of all poses with each other; None beyond `MOST_PAIRED` frames.
     focal : FocalStretch or None
         None where the focal length was kept. What is not known of it is in the covariances.
     cost : float
@@ -179,6 +192,9 @@ class FramePoses(ReadOnlyArrays):
     roughness: Array
     scale: float
     bow: Array
+    scale_sigma: float
+    next_covariance: Array
+    pair_covariance: Array | None
     focal: FocalStretch | None = None
     cost: float = np.inf
 
@@ -420,14 +436,16 @@ def as_frame_poses(
     assert isinstance(reduced, PointsFirst | LinkedFrames)  # frames are tied to their neighbours
     count, common = len(images), fit.equations.known.covariance()
     x = unknowns.departures(state.own, state.common)[:count]
-    order = [3, 4, 5, 0, 1, 2]
-    covariance = reduced.departure_covariance(common)[:count][:, order][:, :, order]
+    covariance = reduced.departure_covariance(common)[:count][:, POSE_ORDER][:, :, POSE_ORDER]
+    final = images.position + x[:, 3:6]
+    bow, scale = _bow_and_scale(images.t, final, len(unknowns.shot), unknowns.width, reduced, common)
+    following, pairs = _between(count, len(unknowns.shot), unknowns.width, reduced, common)
     bias, bias_covariance, focal = common_errors(state.common, common, bias_rows(known), known.focal_length)
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
     *_, r, cost = block.gradient(state, used.astype(np.float64))
     kept = np.bincount(sightings.point, used, minlength=sightings.points) > 0
     poses = FramePoses(
-        frozen(images.position + x[:, 3:6]),
+        frozen(final),
         images.world_from_body * Rotation.from_rotvec(x[:, :3]),
         frozen(covariance),
         bias,
@@ -438,24 +456,42 @@ def as_frame_poses(
         np.bincount(sightings.image % count, used, minlength=count).astype(np.intp),
         frozen(roughness),
         fit.scale,
-        _bow(images, block, reduced),
+        bow,
+        scale,
+        following,
+        pairs,
         focal,
         float(cost + gross_error(len(sightings)) * np.count_nonzero(~used)),
     )
     return poses, common
 
 
-def _bow(images: Images, block: BlockSums, reduced: PointsFirst | LinkedFrames) -> Array:
-    """Sigma (S, 3) of the trend of the angles over each stretch, rms over it."""
-    known = observability(reduced.information, block.unknowns.names, np.inf)
-    nothing = np.zeros((block.sightings.points, 3))
-    forms = np.moveaxis(trend_forms(images.t, block.unknowns.width), 2, 0)
-    out = np.zeros(len(forms))
-    for number, form in enumerate(forms):
-        whole = np.zeros((len(block.unknowns.shot), form.shape[1]))
-        whole[: len(form)] = form
-        own, common = gather(block.unknowns, whole)
-        step = known.solve(reduced.condense(own, nothing, common))
-        taken = block.unknowns.departures(reduced.solve(own, nothing, common, step)[0], step)[: len(form)]
-        out[number] = np.sqrt((form * taken).sum())
-    return frozen(out.reshape(-1, 3))
+def _bow_and_scale(
+    t: Array, position: Array, images: int, width: int, reduced: PointsFirst | LinkedFrames, common: Array
+) -> tuple[Array, float]:
+    """Sigma (S, 3) of the trend of the angles over each stretch, rms over it, and that of the scale."""
+    own = np.concatenate([trend_forms(t, width), scale_form(position, width)], axis=2)
+    forms = np.concatenate([own, np.zeros((images - len(t), width, own.shape[2]))])
+    taken = reduced.form_covariance(common, forms)
+    sigma = np.sqrt(np.einsum("mak,mak->k", forms, taken))
+    return frozen(sigma[:-1].reshape(-1, 3)), float(sigma[-1])
+
+
+def _between(
+    count: int, images: int, width: int, reduced: PointsFirst | LinkedFrames, common: Array
+) -> tuple[Array, Array | None]:
+    """Covariance of each of `count` frames with the next (count - 1, 6, 6), and of all of them, if few."""
+    following = np.zeros((count - 1, 6, 6))
+    pairs = np.zeros((count, 6, count, 6)) if count <= MOST_PAIRED else None
+    for first in range(0, count, _PAIRED_AT_ONCE):
+        frames = np.arange(first, min(first + _PAIRED_AT_ONCE, count))
+        forms = np.zeros((images, width, len(frames), 6))
+        for axis, place in enumerate(POSE_ORDER):
+            forms[frames, place, frames - first, axis] = 1.0
+        found = reduced.form_covariance(common, forms.reshape(images, width, -1))
+        whole = found[:count, POSE_ORDER].reshape(count, 6, len(frames), 6)
+        if pairs is not None:
+            pairs[:, :, frames] = whole
+        before = frames[frames < count - 1]
+        following[before] = whole[before + 1, :, before - first]
+    return frozen(following), None if pairs is None else frozen(pairs)

@@ -22,6 +22,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import Array
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
+from sightline.imaging.warp import WarpedImage, lattice_map
 from sightline.matching.follow import Followed
 from sightline.matching.match_images import match_images
 from sightline.matching.select import grid_points
@@ -45,6 +46,9 @@ _LOST_SEARCH = 16
 _MIN_SCORE = 0.3
 #: px; what lenses, other wavelengths and another view move a window by.
 _FLOOR_PX = 0.03
+#: Columns between places where the map to another camera is computed: a turn of a hundredth bends it by
+#: 1e-5 of the squared distance in frames of a thousand pixels, which must not reach a thousandth of a pixel.
+_SPACING = 8
 
 Report = Callable[[int, int], None]
 
@@ -212,6 +216,16 @@ class _View:
         step = np.diag([2.0, 2.0])
         return np.stack([(self.map(pixels + s) - self.map(pixels - s)) / 4.0 for s in step], axis=-1)
 
+    def laid(self, source: ImageSource) -> ImageSource:
+        """The other's image in the geometry of the hub.
+
+        An affine for each window would not do: a camera that is turned against the hub about an axis in its
+        image plane bends the map within a window, by the same in all windows. That looks like an offset.
+        """
+        lines, columns = self.hub.shape
+        warped = WarpedImage(source, lattice_map(self.map), (lines, columns), _SPACING)
+        return ArrayImage(warped.read((0, lines), (0, columns)))
+
 
 def find_in_rig(
     followed: Followed,
@@ -318,12 +332,9 @@ def _filters(
     view = _View(at[0], at[camera], surface)
     hub, other = (_whole(cameras[c].sources[capture]) for c in (0, camera))
     places = grid_points(hub.shape, window=_TILE)
-    affine = view.affine(places)
-    known = np.isfinite(affine).all(axis=(1, 2))
     try:
         return estimate_whitening(
-            hub, other, places[known], view.map(places[known]), affine=affine[known], tile=_TILE,
-            reach=(_SEARCH, _SEARCH),
+            hub, view.laid(other), places, places, tile=_TILE, reach=(_SEARCH, _SEARCH)
         )  # fmt: skip
     except EstimationError:
         return gradient_filter()
@@ -360,16 +371,21 @@ def _found(
     places, predicted, names, affine = places[known], predicted[known], names[known], affine[known]
     if len(places) < _LEAST_WINDOWS:
         return None
+    beside = np.linalg.solve(affine, (predicted - view.map(places))[..., None])[..., 0]
     match = match_images(
-        hub, source, places, predicted, window=(_WINDOW, _WINDOW), affine=affine,
+        hub, view.laid(source), places, places + beside, window=(_WINDOW, _WINDOW),
         search_px=(search, search), whitening=whitening, min_score=_MIN_SCORE,
     )  # fmt: skip
     kept = np.flatnonzero(match.kept)
+    found = view.map(match.b[kept])
+    seen = np.isfinite(found).all(axis=1)
+    kept, found = kept[seen], found[seen]
     if not len(kept):
         return None
-    share = hub_share(whitening)
-    variance = 0.5 * np.trace(match.covariance_px[kept], axis1=1, axis2=2) * (1.0 - share)
-    return Tracks(np.full(len(kept), image), names[kept], match.b[kept], np.sqrt(variance + _FLOOR_PX**2))
+    to_other = affine[kept]
+    covariance = to_other @ match.covariance_px[kept] @ np.swapaxes(to_other, 1, 2)
+    variance = 0.5 * np.trace(covariance, axis1=1, axis2=2) * (1.0 - hub_share(whitening))
+    return Tracks(np.full(len(kept), image), names[kept], found, np.sqrt(variance + _FLOOR_PX**2))
 
 
 __all__ = ["Reach", "begin_offsets", "find_in_rig", "rig_cameras"]

@@ -185,7 +185,7 @@ def solve_capture(problem: SequenceProblem) -> RigAdjusted:
     covariance[nothing, nothing] = np.inf
     poses = replace(
         solution.poses, position=images.position, world_from_body=images.world_from_body,
-        covariance=frozen(covariance[None]),
+        covariance=frozen(covariance[None]), pair_covariance=None,
     )  # fmt: skip
     return RigAdjusted(poses, solution.offsets, tracks, offset_words(problem, solution.offsets))
 
