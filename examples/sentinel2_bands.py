@@ -17,9 +17,9 @@ import numpy as np
 
 import sightline
 from sightline.applications.registration import fit_every_pair
+from sightline.geometry.conjugate import predict_match
 from sightline.io.init.bands import acquisition_of_bands
 from sightline.io.init.presets import preset
-from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import recovered_cameras
 

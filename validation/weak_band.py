@@ -23,10 +23,11 @@ import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.errors import EstimationError
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Plane
 from sightline.matching.match_images import match_images
 from sightline.motion.band import Band
-from sightline.motion.measure.predict import MovingCamera, predict_match
+from sightline.motion.measure.predict import MovingCamera
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case

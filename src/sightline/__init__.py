@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from sightline.evaluation.score import Score, score_motion
     from sightline.execution import Executor, executor_from_name
     from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera, Rays
+    from sightline.geometry.conjugate import predict_match
     from sightline.geometry.instrument import AreaDetector, Instrument, LineDetector
     from sightline.geometry.pointing import FixedMount, Pointing, ScanMirror
     from sightline.geometry.spin import Spin
@@ -71,7 +72,6 @@ if TYPE_CHECKING:
     from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
     from sightline.motion.estimators.differences import AngleDifferences
     from sightline.motion.frames.passes import FrameOptions
-    from sightline.motion.measure.predict import predict_match
     from sightline.motion.results import LineOfSight
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.photogrammetry.flight.problem import SequenceProblem
@@ -183,7 +183,7 @@ _MODULE_OF = {
     "match_rasters": "sightline.applications.raster_matches",
     "open_result": "sightline.kinds.open",
     "orient": "sightline.applications.stereo_orientation",
-    "predict_match": "sightline.motion.measure.predict",
+    "predict_match": "sightline.geometry.conjugate",
     "read_tdi_tags": "sightline.io.results.tdi_tags",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",

@@ -8,8 +8,8 @@ import pytest
 from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.errors import InputError
 from sightline.evaluation.score import remove_directions
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Plane
-from sightline.motion.measure.predict import predict_match
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 

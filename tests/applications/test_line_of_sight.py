@@ -15,13 +15,13 @@ from sightline import execution
 from sightline.applications.line_of_sight import _hidden_names, recover_line_of_sight
 from sightline.errors import EstimationError, InputError
 from sightline.evaluation.score import score_result
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Dem, Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.io.formats.tables import read_motion
 from sightline.matching.matches import KEPT, LOW_SCORE, NO_CONVERGENCE, OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.stars import MatchingPlan, StarRecord, match_star
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.strip.hyper import PriorModel

@@ -7,8 +7,8 @@ import pytest
 
 from sightline.applications.registration import fit_every_pair, register_bands
 from sightline.errors import InputError
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Dem, Plane
-from sightline.motion.measure.predict import predict_match
 from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.relief import RowRelief
 from sightline.simulate.scenarios import line_of_sight_case

@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from motion.strips import plain_star
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTSIDE
-from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.results import LineOfSight, without_common_ground
 from sightline.motion.strip.strip import RecoverOptions

@@ -11,12 +11,13 @@ from numpy.testing import assert_allclose
 from motion.strips import ALTITUDE, T0, T1, given_bands, strip_cameras
 from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.motion.band import Band
-from sightline.motion.measure.predict import predict_match, sensitivities
+from sightline.motion.measure.predict import sensitivities
 from sightline.motion.statics import apply_statics, band_statics, frame_statics, recovered_cameras
 
 PIXELS = np.array([[10.0, 0.0], [100.0, 159.5], [200.0, 300.0]])

@@ -139,8 +139,8 @@ def test_the_whole_strip_is_never_read(pixels, monkeypatch):
 
 
 def test_the_map_of_two_cameras_is_that_of_their_rays():
+    from sightline.geometry.conjugate import predict_match
     from sightline.geometry.surface import Plane
-    from sightline.motion.measure.predict import predict_match
     from sightline.simulate.scenarios import line_of_sight_case
 
     scenario = line_of_sight_case("nominal", 3, lines=420, columns=64)

@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError, InputError
 from sightline.execution import Progress, silent, steps_of
 from sightline.imaging.placed import PlacedImage
-from sightline.imaging.reduce import ReducedImage, whole_pixels
+from sightline.imaging.reduce import whole_pixels
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import WarpedImage, lattice_map
 from sightline.matching.agreement import disagreeing
 from sightline.matching.coarse import CommonShift, LearntShifts, learn_shifts
 from sightline.matching.kernels import RADIUS
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTLIER, Matches
+from sightline.matching.on_geometry import PairOnGeometry, lattice_points, middle_of, within
 from sightline.matching.select import grid_points
-from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
+from sightline.matching.whitening import Whitening, gradient_filter, pair_whitening
 from sightline.result import Result, makes_result
 
 __all__ = ["BandMatches", "MatchProfile", "RasterMatches", "match_bands", "match_rasters"]
@@ -52,6 +52,8 @@ _FEWEST, _FEW = 4, 0.2
 _SQUARE_TILE = (48, 48)
 #: Change of a pixel's side up to which two grids count as alike.
 _ALIKE = 1e-9
+#: px inside an image from which on its pixels may be asked for: less than one beyond it.
+_RIM = -1.0 + 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +198,8 @@ class Overlay:
     reduced : int
         px of image a as given in one of `a`.
     geometry : str
-    inside : (N, 2) -> (N,) bool
-        Whether pixels of `a` lie in b by the maps.
+    pair : PairOnGeometry or None
+        What lays b on a; None where pixels do.
     """
 
     a: ImageSource
@@ -205,15 +207,16 @@ class Overlay:
     offset: Array
     reduced: int
     geometry: str
-    exact: Any = None
+    pair: PairOnGeometry | None = None
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
         """Which of points (N, 2) of `a` lie within b."""
-        if self.exact is None:
-            return np.ones(len(points), dtype=np.bool_)
-        where, shape = self.exact(points)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(((where > -1.0) & (where < np.array(shape))).all(axis=1))
+        return np.ones(len(points), dtype=np.bool_) if self.pair is None else self.pair.inside(points, _RIM)
+
+    @classmethod
+    def of(cls, pair: PairOnGeometry, reduced: int, spacing: int) -> Overlay:
+        """The partner of a pair laid on its hub, which was reduced; positions known at every `spacing` px."""
+        return cls(pair.hub, pair.warped(spacing), np.zeros(2), reduced, "map", pair)
 
 
 def laid_on(a: ImageSource, b: ImageSource, geometry: str = "auto") -> Overlay:
@@ -249,25 +252,15 @@ def _on_map(a: PlacedImage, b: PlacedImage) -> Overlay:
     """Image b on the grid of a by their places."""
     transformer = _between(a, b)
 
-    def exact(pixels: Array) -> Array:
+    def exact(pixels: Array, _height: float = 0.0, /) -> Array:
         return b.pixels(transformer(a.places(pixels)))
 
-    middle = _overlap(a, b, exact)
-    turn = np.stack([(exact(middle + s) - exact(middle - s))[0] / 2.0 for s in np.eye(2)], axis=1)
-    ratio = float(np.sqrt(abs(np.linalg.det(turn))))
+    pair = PairOnGeometry(a, b, exact)
+    middle = _overlap(a, b, pair)
+    turn = pair.turn(middle)[0]
     if transformer is _same and np.abs(turn - np.eye(2)).max() * max(a.shape) < _ALIKE * max(a.shape) + 1e-6:
-        return Overlay(a, b, exact(np.zeros((1, 2)))[0], 1, "map", lambda p: (exact(p), b.shape))
-    k, m = max(1, round(1.0 / ratio)), max(1, round(ratio))
-    k = max(1, min(k, *(side // 16 for side in a.shape)))
-    m = max(1, min(m, *(side // 2 for side in b.shape)))
-    first: ImageSource = a if k == 1 else ReducedImage(a, k)
-    second: ImageSource = b if m == 1 else ReducedImage(b, m)
-
-    def mapping(pixels: Array) -> Array:
-        return np.asarray((exact(whole_pixels(pixels, k)) - 0.5 * (m - 1)) / m)
-
-    warped = WarpedImage(second, lattice_map(mapping), first.shape)
-    return Overlay(first, warped, np.zeros(2), k, "map", lambda p: (mapping(p), second.shape))
+        return Overlay(a, b, exact(np.zeros((1, 2)))[0], 1, "map", pair)
+    return Overlay.of(*pair.alike(middle, 16), 64)
 
 
 def _same(places: Array) -> Array:
@@ -302,21 +295,17 @@ def _between(a: PlacedImage, b: PlacedImage) -> Any:
     return moved
 
 
-def _overlap(a: PlacedImage, b: PlacedImage, exact: Any) -> Array:
+def _overlap(a: PlacedImage, b: PlacedImage, pair: PairOnGeometry) -> Array:
     """A pixel (1, 2) of a about the middle of what both show; InputError if that is nothing."""
-    axes = [np.linspace(0.0, side - 1.0, min(side, 257)) for side in a.shape]
-    probes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    where = exact(probes)
-    with np.errstate(invalid="ignore"):
-        both = ((where >= -0.5) & (where <= np.array(b.shape) - 0.5)).all(axis=1)
-    if not both.any():
+    probes = lattice_points(a.shape, 257)
+    seen = probes[pair.inside(probes, -0.5)]
+    if not len(seen):
         said = [_box(image) for image in (a, b)]
         raise InputError(
             f"the two images do not overlap on the map: the first covers {said[0]}, the second {said[1]}; "
             "give images of one place, or compare them pixel by pixel (--geometry pixels)"
         )
-    seen = probes[both]
-    return np.asarray(seen[[int(np.argmin(((seen - seen.mean(axis=0)) ** 2).sum(axis=1)))]])
+    return middle_of(seen)
 
 
 def _box(image: PlacedImage) -> str:
@@ -523,10 +512,7 @@ def _points(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int]
 
 def _at_rim(points: Array, shape: tuple[int, int], size: tuple[int, int]) -> NDArray[np.bool_]:
     """Windows about points (N, 2) that come closer to the rim of an image than its filter reaches."""
-    half = 0.5 * (np.array(size) - 1) + RADIUS
-    with np.errstate(invalid="ignore"):
-        within = (points >= half) & (points <= np.array(shape) - 1.0 - half)
-    return np.asarray(~within.all(axis=1))
+    return ~within(points, shape, 0.5 * (np.array(size) - 1) + RADIUS)
 
 
 def _search(learnt: LearntShifts) -> tuple[int, int]:
@@ -541,10 +527,7 @@ def _whitening(
     """Filters of the pair; fixed ones where the images are too small or too unlike to show them."""
     tile = None if size[1] >= 4 * size[0] else _SQUARE_TILE
     reach = (max(search[0], 3), max(search[1], 3))
-    try:
-        return estimate_whitening(laid.a, laid.b, points, predicted, tile=tile, reach=reach)
-    except EstimationError:
-        return gradient_filter()
+    return pair_whitening(laid.a, laid.b, points, predicted, tile=tile, reach=reach) or gradient_filter()
 
 
 def _without_outliers(found: Matches, offset: Array, shape: tuple[int, int]) -> Matches:

@@ -24,10 +24,10 @@ from sightline.geometry.camera import Camera, PushbroomCamera
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.placed import PlacedImage
-from sightline.imaging.reduce import ReducedImage, reduced_pixels, whole_pixels
+from sightline.imaging.reduce import reduced_pixels
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import WarpedImage, lattice_map
 from sightline.matching.coarse import CHANCE, common_shift, learn_shifts
+from sightline.matching.on_geometry import PairOnGeometry, lattice_points, middle_of
 from sightline.matching.select import spread_subset
 from sightline.motion.measure.predict import MovingCamera, turned
 from sightline.products.cube_grid import MapSystem
@@ -128,8 +128,8 @@ class _View:
             out[inside] = self.camera.locate(pixels[inside], self.surface)
         return out
 
-    def seen(self, pixels: Array) -> Array:
-        """Pixels (N, 2) of the reference; NaN where there is none."""
+    def seen(self, pixels: Array, _height: float = 0.0, /) -> Array:
+        """Pixels (N, 2) of the reference, NaN where there is none: the `Geometry` of the two images."""
         places = self.system.places(self.ground(pixels))
         return self.reference.pixels(places[:, :2])
 
@@ -137,11 +137,6 @@ class _View:
         """The same, its camera turned by `yaw` (rad)."""
         camera = turned(cast(MovingCamera, self.camera), np.array([0.0, 0.0, yaw]))
         return replace(self, camera=camera, given=self.camera)
-
-    def turn(self, pixel: Array) -> Array:
-        """(2, 2); change of the reference's pixel with that of the image, about pixel (1, 2)."""
-        step = np.eye(2) * 2.0
-        return np.stack([(self.seen(pixel + s) - self.seen(pixel - s))[0] / 4.0 for s in step], axis=1)
 
 
 @makes_result
@@ -302,7 +297,7 @@ def _turn_of(view: _View, search_px: float) -> float | None:
     half = 0.5 * (view.image.shape[1] - 1)
     best, chosen = 0.0, None
     for px in TURNS:
-        laid, _, _ = _laid(view.turned(px / half))
+        laid = _laid(view.turned(px / half))
         reach = min(search_px, float(max(view.image.shape))) / laid.reduced
         found = common_shift(laid.a, laid.b, reach=reach)
         # as many tries, as many chances
@@ -318,19 +313,16 @@ def _is_band(camera: Camera) -> bool:
 
 def _matched(view: _View, name: str, window: tuple[int, int] | None, search_px: float) -> RasterMatches:
     """Shifts between an image and the reference laid on it, in pixels of the image."""
-    laid, mapping, reduced_by = _laid(view)
+    laid = _laid(view)
     reach = min(search_px, float(max(view.image.shape))) / laid.reduced
-    k = laid.reduced
+    k, pair = laid.reduced, cast(PairOnGeometry, laid.pair)
     learnt = learn_shifts(laid.a, laid.b, reach=reach, inside=laid.inside)
     affine = _affine(learnt.field.points, learnt.field.values, learnt.field.weights)
 
-    def moved(pixels: Array) -> Array:
-        return mapping(pixels + affine(pixels))
+    def moved(pixels: Array, _height: float = 0.0, /) -> Array:
+        return pair.where(pixels + affine(pixels))
 
-    again = replace(
-        laid, b=WarpedImage(reduced_by, lattice_map(moved), laid.a.shape, _SPACING),
-        exact=lambda p: (moved(p), reduced_by.shape),
-    )  # fmt: skip
+    again = Overlay.of(replace(pair, geometry=moved), k, _SPACING)
     default = BAND_WINDOW if _is_band(view.camera) else WINDOWS["map"]
     found = match_laid(again, (name, "reference"), default, window, None, 0.0, silent)
     # the shifts found, and what the reference was moved by there
@@ -344,36 +336,18 @@ def _matched(view: _View, name: str, window: tuple[int, int] | None, search_px: 
     )
 
 
-def _laid(view: _View) -> tuple[Overlay, Mapping, ImageSource]:
-    """The reference on the grid of an image; the map between them, and the reference, as far as reduced."""
-    shape = np.array(view.image.shape)
-    axes = [np.linspace(0.0, side - 1.0, min(int(side), 41)) for side in shape]
-    probes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    where = view.seen(probes)
-    with np.errstate(invalid="ignore"):
-        there = ((where >= 0.0) & (where <= np.array(view.reference.shape) - 1.0)).all(axis=1)
+def _laid(view: _View) -> Overlay:
+    """The reference on the grid of an image."""
+    pair = PairOnGeometry(view.image, view.reference, view.seen)
+    probes = lattice_points(view.image.shape, 41)
+    there = pair.inside(probes)
     if there.mean() < _COVERED:
         raise GeometryError(
             f"the reference and the DEM cover {100 * there.mean():.0f} % of what the image sees by its "
             f"camera as given, {100 * _COVERED:.0f} % are needed at least; give those of the place, or check "
             "positions and attitudes"
         )
-    seen = probes[there]
-    middle = seen[[int(np.argmin(((seen - seen.mean(axis=0)) ** 2).sum(axis=1)))]]
-    ratio = float(np.sqrt(abs(np.linalg.det(view.turn(middle)))))
-    if not np.isfinite(ratio) or ratio == 0.0:
-        ratio = 1.0
-    k, m = max(1, round(1.0 / ratio)), max(1, round(ratio))
-    k = max(1, min(k, int(shape.min()) // 32))
-    image: ImageSource = view.image if k == 1 else ReducedImage(view.image, k)
-    reference: ImageSource = view.reference if m == 1 else ReducedImage(view.reference, m)
-
-    def mapping(pixels: Array) -> Array:
-        return reduced_pixels(view.seen(whole_pixels(pixels, k)), m)
-
-    warped = WarpedImage(reference, lattice_map(mapping), image.shape, _SPACING)
-    overlay = Overlay(image, warped, np.zeros(2), k, "map", lambda p: (mapping(p), reference.shape))
-    return overlay, mapping, reference
+    return Overlay.of(*pair.alike(middle_of(probes[there]), 32), _SPACING)
 
 
 def _affine(points: Array, values: Array, weights: Array) -> Callable[[Array], Array]:

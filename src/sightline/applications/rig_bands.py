@@ -6,24 +6,17 @@ Not here: maps of a flight (``frame_cube.py``), the offsets (``photogrammetry/fl
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from functools import partial
 
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import InputError
-from sightline.geometry.camera import FrameCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import WarpedImage, lattice_map
+from sightline.matching.on_geometry import resampled
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.rig import given_offsets
 from sightline.photogrammetry.flight.rig_matches import rig_cameras
 from sightline.photogrammetry.sightings import Images
-
-Array = NDArray[np.float64]
-
-#: Columns between places where the map between two cameras is handed to the resampler.
-_SPACING = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,22 +69,8 @@ def registered_bands(
         for nm, sources in channels or [(camera.wavelength_nm, camera.sources)]:
             source = sources[capture]
             if c:
-                source = WarpedImage(
-                    source, lattice_map(_Map(cameras[0], cameras[c], problem).to), cameras[0].shape, _SPACING
-                )
+                geometry = partial(predict_match, cameras[0], cameras[c], problem.surface)
+                source = resampled(source, geometry, cameras[0].shape)
             name = f"{camera.name} {nm:g} nm" if len(channels) > 1 else camera.name
             out.append(LaidBand(name, float(nm), source))
     return tuple(out)
-
-
-@dataclass(frozen=True, eq=False)
-class _Map:
-    """From pixels of the first camera to those of another, over the ground."""
-
-    first: FrameCamera
-    other: FrameCamera
-    problem: SequenceProblem
-
-    def to(self, pixels: Array) -> Array:
-        """Where the other camera shows pixels (N, 2) of the first."""
-        return self.other.project(self.first.locate(pixels, self.problem.surface))

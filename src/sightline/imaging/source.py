@@ -171,6 +171,12 @@ def usable_lines(image: ImageSource, first: int, last: int) -> NDArray[np.float6
     return values if unusable is None else np.where(unusable, np.nan, values)
 
 
+def in_memory(image: ImageSource) -> ArrayImage:
+    """An image read at once, with its mask: for what reads windows of it again and again."""
+    whole = (0, image.shape[0]), (0, image.shape[1])
+    return ArrayImage(image.read(*whole), image.mask(*whole))
+
+
 def read_padded(
     image: ImageSource, lines: tuple[int, int], columns: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:

@@ -5,7 +5,7 @@ Not the matching itself: see `match_images`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,6 +176,7 @@ def select_points(
     step: tuple[int, int] | None = None,
     count: int | None = None,
     cells: tuple[int, int] = (64, 8),
+    allowed: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
 ) -> NDArray[np.float64]:
     """Window centres worth matching, on a grid, in the order of lines.
 
@@ -190,12 +191,16 @@ def select_points(
         Keep at most so many, strong and well spread; all those with any texture by default.
     cells : (int, int)
         Cells along lines and columns that share the count evenly.
+    allowed : callable, optional
+        Which of centres (N, 2) may be chosen; all by default.
 
     Returns
     -------
     (N, 2) (line, column)
     """
     points = grid_points(image.shape, window=window, step=step)
+    if allowed is not None:
+        points = points[allowed(points)]
     strength = texture_strength(image, points, window)
     if count is None:
         return points[strength > 0]

@@ -15,11 +15,13 @@ from sightline.imaging.resample import delay_weights, kernel_table
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching import kernels
 
-__all__ = ["Whitening", "estimate_whitening", "gradient_filter"]
+__all__ = ["Whitening", "estimate_whitening", "gradient_filter", "pair_whitening"]
 
 _QUADRANT = (7, 7)
 _GRID = 64
 _EDGE = 6
+_HIGHEST = 0.45
+"""Cycles per pixel; frequencies that filters let pass."""
 _OVER = 12
 """Pixels that the wider tiles of image b may reach beyond it, where it is reflected."""
 
@@ -92,6 +94,27 @@ class Whitening:
         cy = twice * np.cos(2 * np.pi * fy[:, :1] * k)
         cx = twice * np.cos(2 * np.pi * fx[0][:, None] * k)
         return np.asarray(cy @ taps.astype(np.float64) @ cx.T)
+
+    @property
+    def hub_share(self) -> float:
+        """Share of a match's variance that is the noise of image a, its hub: the same in all its matches.
+
+        Notes
+        -----
+        With the signal-to-noise ratio r of each of two images alike, the score's variance is 2 / r + 1 / r^2
+        at each frequency: noise of either image times the texture, and noise times noise, which is new in
+        every pair. Their coherence is c = (r / (1 + r))^2, a match weighs frequencies by f^2 c / (1 - c).
+        Half where the coherence is not known.
+        """
+        if self.coherence is None:
+            return 0.5
+        c = self.coherence
+        ratio = np.sqrt(c) / (1.0 - np.sqrt(c))
+        fy, fx = np.meshgrid(np.fft.fftfreq(len(c)), np.fft.rfftfreq(len(c)), indexing="ij")
+        # frequencies beyond this are filtered out; columns but the first stand for two
+        weight = (fy**2 + fx**2) * (np.maximum(np.abs(fy), fx) < _HIGHEST) * np.where(fx > 0.0, 2.0, 1.0)
+        odds = c / (1.0 - c)
+        return float((weight * odds**2 / ratio).sum() / (weight * odds).sum())
 
 
 def gradient_filter(corner: float = 0.18) -> Whitening:
@@ -385,3 +408,26 @@ def estimate_whitening(
     response /= np.sqrt((response**2 * spectrum).mean())
     made = Whitening.from_response(response)
     return Whitening(made.taps_a, made.taps_b, smooth, len(cross))
+
+
+def pair_whitening(
+    image_a: ImageSource,
+    image_b: ImageSource,
+    points_a: NDArray[np.float64],
+    predicted_b: NDArray[np.float64] | None = None,
+    *,
+    affine: NDArray[np.float64] | None = None,
+    tile: tuple[int, int] | None = None,
+    reach: tuple[int, int] = (4, 4),
+    most_tiles: int = 400,
+) -> Whitening | None:
+    """Filters of a pair as `estimate_whitening` gives them; None where too little can be seen at the points.
+
+    `predicted_b`: the same points by default, for an image that is laid on the other.
+    """
+    predicted_b = points_a if predicted_b is None else predicted_b
+    options = {"affine": affine, "tile": tile, "reach": reach, "most_tiles": most_tiles}
+    try:
+        return estimate_whitening(image_a, image_b, points_a, predicted_b, **options)  # type: ignore[arg-type]
+    except EstimationError:
+        return None

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +23,14 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError, InputError
 from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import FrameCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
-from sightline.imaging.reduce import ReducedImage, reduced_pixels, whole_pixels
-from sightline.imaging.source import ArrayImage, ImageSource
-from sightline.imaging.warp import WarpedImage, lattice_map
+from sightline.imaging.reduce import whole_pixels
+from sightline.imaging.source import ImageSource
 from sightline.matching import matches as codes
-from sightline.matching.displacement import DisplacementField
-from sightline.matching.match_images import match_images
-from sightline.matching.matches import Matches
-from sightline.matching.select import grid_points, spread_subset, texture_strength
-from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
+from sightline.matching.on_geometry import FoundWindows, PairOnGeometry, lattice_points, within
+from sightline.matching.select import select_points
+from sightline.matching.whitening import Whitening, gradient_filter, pair_whitening
 from sightline.photogrammetry.sightings import Tracks
 
 Array = NDArray[np.float64]
@@ -44,8 +43,6 @@ _LONGEST_SEARCH = 16
 _FINE_SEARCH = 3
 #: Fewest windows along a side of the coarsest scale.
 _COARSE_WINDOWS = 3
-#: Columns between places where the map between two frames is handed to the resampler.
-_SPACING = 4
 #: Share of the windows tried that must agree with those around them, or the search is widened by the next of
 #: these factors of the pointing error.
 _AGREEMENT, _WIDENINGS = 0.6, (1.0, 8.0, 64.0)
@@ -53,8 +50,6 @@ _AGREEMENT, _WIDENINGS = 0.6, (1.0, 8.0, 64.0)
 _LEAST_WINDOWS = 6
 #: px; tiles that filters are estimated from.
 _TILE = (32, 32)
-#: Cycles per pixel; frequencies that filters let pass.
-_HIGHEST = 0.45
 #: Cells along each side of a frame that share the points evenly.
 _CELLS = 8
 #: Places per side of a frame that show what two frames share.
@@ -195,8 +190,7 @@ def shared_views(
     m = len(cameras)
     out = np.zeros((m, m))
     for i, camera in enumerate(cameras):
-        axes = [np.linspace(0.0, size - 1.0, _PROBES) for size in camera.shape]
-        probes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        probes = lattice_points(camera.shape, _PROBES)
         ground = camera.locate(probes, surface)
         there = np.isfinite(ground).all(axis=1)
         if not there.any():
@@ -206,8 +200,7 @@ def shared_views(
             if j == i:
                 continue
             pixels = other.project(ground)
-            with np.errstate(invalid="ignore"):
-                inside = ((pixels >= 0.0) & (pixels <= np.array(other.shape) - 1.0)).all(axis=1)
+            inside = within(pixels, other.shape)
             if inside.mean() < least_share:
                 continue
             cosine = float(np.einsum("ni,ni->n", sight, _sight(other, ground))[inside].mean())
@@ -266,213 +259,97 @@ def _match_hub(
     plan: TrackPlan,
 ) -> Tracks | None:
     """The points of one hub; None if no other frame shows any."""
-    points = _points(sources[hub], plan)
-    parts = []
+    size = (plan.window, plan.window)
+    points = select_points(sources[hub], window=size, count=plan.points, cells=(_CELLS, _CELLS))
+    found: dict[int, FoundWindows] = {}
     for partner in partners:
-        pair = _Pair(sources[hub], sources[partner], cameras[hub], cameras[partner], surface)
-        part = _match_pair(pair, int(partner), points, plan)
-        if part is not None:
-            parts.append(part)
-    if not parts:
+        geometry = partial(predict_match, cameras[hub], cameras[partner], surface)
+        focal = max(cameras[frame].detector.focal_length_px for frame in (hub, partner))
+        pair = PairOnGeometry(sources[hub], sources[partner], geometry)
+        one = _match_pair(pair, points, plan, 2.0 * plan.pointing_error * focal)
+        if one is not None:
+            found[int(partner)] = one
+    if not found:
         return None
-    hub_variance = np.full((len(parts), len(points)), np.nan)
-    for k, part in enumerate(parts):
-        hub_variance[k, part.rows] = part.hub
-    found = np.flatnonzero(np.isfinite(hub_variance).any(axis=0))
-    own = np.nanmedian(hub_variance[:, found], axis=0)
-    name = np.full(len(points), -1, dtype=np.intp)
-    name[found] = np.arange(len(found))
+    own, shared = (np.stack(parts) for parts in zip(*(f.variances() for f in found.values()), strict=True))
+    kept = np.stack([one.matches.kept for one in found.values()])
+    seen = np.flatnonzero(kept.any(axis=0))
+    hub_variance = np.nanmedian(np.where(kept, shared, np.nan)[:, seen], axis=0)
+    name = np.cumsum(kept.any(axis=0)) - 1
+    which, rows = np.nonzero(kept)
+    places = [one.matches.b[one.matches.kept] for one in found.values()]
     return Tracks(
-        np.concatenate([np.full(len(found), hub), *(np.full(len(p.rows), p.image) for p in parts)]),
-        np.concatenate([name[found], *(name[p.rows] for p in parts)]),
-        np.concatenate([points[found], *(p.pixels for p in parts)]),
-        np.sqrt(np.concatenate([own, *(p.own for p in parts)]) + plan.floor_px**2),
+        np.concatenate([np.full(len(seen), hub), np.array(list(found))[which]]),
+        name[np.concatenate([seen, rows])],
+        np.concatenate([points[seen], *places]),
+        np.sqrt(np.concatenate([hub_variance, own[kept]]) + plan.floor_px**2),
     )
 
 
-def _points(source: ImageSource, plan: TrackPlan) -> Array:
-    """Centres (N, 2) of windows side by side that can be located in two directions, well spread."""
-    window = (plan.window, plan.window)
-    points = grid_points(source.shape, window=window)
-    strength = texture_strength(source, points, window)
-    strength[~(strength > 0.0)] = np.nan
-    return points[spread_subset(points, strength, plan.points, (_CELLS, _CELLS))]
-
-
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """A hub and a partner, with the map from one to the other."""
-
-    hub: ImageSource
-    partner: ImageSource
-    hub_camera: FrameCamera
-    partner_camera: FrameCamera
-    surface: Surface
-    learnt: DisplacementField | None = None
-
-    def map(self, pixels: Array) -> Array:
-        """Where the partner shows pixels (N, 2) of the hub, as far as is known."""
-        where = self.partner_camera.project(self.hub_camera.locate(pixels, self.surface))
-        return where if self.learnt is None else where + self.learnt.at(pixels)
-
-    @property
-    def weights(self) -> Array:
-        """(N,) 0 to 1; of the displacements learnt, 0 where one does not go with those around it."""
-        return np.ones(0) if self.learnt is None else self.learnt.weights
-
-    def jacobian(self, pixels: Array) -> Array:
-        """Change (N, 2, 2) of the map with (line, column) of the hub, px/px."""
-        step = np.diag([2.0, 2.0])
-        return np.stack([(self.map(pixels + s) - self.map(pixels - s)) / 4.0 for s in step], axis=-1)
-
-    def laid(self, scale: int) -> ImageSource:
-        """The partner in the geometry of the hub, both reduced by `scale`."""
-
-        def exact(pixels: Array) -> Array:
-            return reduced_pixels(self.map(whole_pixels(pixels, scale)), scale)
-
-        lines, columns = _at_scale(self.hub, scale).shape
-        warped = WarpedImage(_at_scale(self.partner, scale), lattice_map(exact), (lines, columns), _SPACING)
-        # windows and tiles read it again and again: one frame at a time is kept
-        return ArrayImage(warped.read((0, lines), (0, columns)))
-
-    def after(self, points: Array, where: Array) -> _Pair:
-        """The same pair once `points` (N, 2) of the hub were found at pixels `where` of the partner."""
-        planned = self.partner_camera.project(self.hub_camera.locate(points, self.surface))
-        field = DisplacementField(points, where - planned)
-        return _Pair(self.hub, self.partner, self.hub_camera, self.partner_camera, self.surface, field)
-
-
-def _at_scale(source: ImageSource, scale: int) -> ImageSource:
-    return source if scale == 1 else ReducedImage(source, scale)
-
-
-def _match_pair(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
+def _match_pair(
+    pair: PairOnGeometry, points: Array, plan: TrackPlan, pointing_px: float
+) -> FoundWindows | None:
     """Points of the hub in one partner, from coarse to fine; None if they share too little.
 
-    Where most windows do not agree, the search is widened: poses may be worse than planned.
+    Where most windows do not agree, the search is widened: poses may be worse than planned. In the end the
+    partner is laid on the hub as well as can be, and filters are learnt.
     """
     for widening in _WIDENINGS:
-        learnt, agreement = _coarse_to_fine(pair, points, plan, widening)
+        learnt, agreement = _coarse_to_fine(pair, points, plan, widening * pointing_px)
         if agreement >= _AGREEMENT:
             break
-    return None if learnt is None else _last_look(learnt, partner, points, plan)
+    if learnt is None:
+        return None
+    laid = learnt.laid()
+    whitening = pair_whitening(pair.hub, laid, points, tile=_TILE, reach=(1, 1)) or gradient_filter()
+    found = _found(learnt, laid, points, (0, 0), plan, whitening)
+    return found if found.matches.kept.sum() >= _LEAST_WINDOWS else None
 
 
 def _coarse_to_fine(
-    pair: _Pair, points: Array, plan: TrackPlan, widening: float
-) -> tuple[_Pair | None, float]:
+    pair: PairOnGeometry, points: Array, plan: TrackPlan, pointing_px: float
+) -> tuple[PairOnGeometry | None, float]:
     """The pair with its map learnt (None: too few windows found), and the share of windows that agree."""
-    reach = _search_range(pair, plan, widening)
+    reach = (
+        np.nanmax(pair.reach(lattice_points(pair.hub.shape, 3), plan.height_range), axis=0, initial=0.0)
+        + pointing_px
+    )
     scale = _coarsest(reach, pair.hub.shape, plan.window)
     lines, columns = np.minimum(np.ceil(reach / scale), _LONGEST_SEARCH).astype(int) + 1
-    search = (int(lines), int(columns))
+    search, size = (int(lines), int(columns)), (plan.window, plan.window)
     agreement = 1.0
     while True:
-        hub = _at_scale(pair.hub, scale)
-        look = points if scale == 1 else _dense_points(hub, plan.window)
-        found = _matched(hub, pair.laid(scale), look, search, plan, gradient_filter())
+        coarse = pair.reduced(scale)
+        look = points
+        if scale > 1:
+            look = select_points(coarse.hub, window=size, step=(plan.window // 2, plan.window // 2))
+        found = _found(coarse, coarse.laid(), look, search, plan, gradient_filter()).matches
         kept = found.kept
         if kept.sum() < _LEAST_WINDOWS:
             return None, 0.0
-        pair = pair.after(whole_pixels(look[kept], scale), pair.map(whole_pixels(found.b[kept], scale)))
+        pair = pair.after(whole_pixels(look[kept], scale), whole_pixels(found.b[kept], scale))
         tried = kept.sum() + np.isin(found.status, (codes.NO_CONVERGENCE, codes.LOW_SCORE)).sum()
-        agreement = min(agreement, float((pair.weights > 0.0).sum() / tried))
+        assert pair.learnt is not None
+        agreement = min(agreement, float((pair.learnt.weights > 0.0).sum() / tried))
         if scale == 1:
             return pair, agreement
         scale //= 2
         search = (_FINE_SEARCH, _FINE_SEARCH)
 
 
-def _last_look(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
-    """Points of the hub in a partner that is laid on it as well as can be, with both shares of the error."""
-    laid = pair.laid(1)
-    whitening = _whitening(pair.hub, laid, points)
-    found = _matched(pair.hub, laid, points, (0, 0), plan, whitening)
-    kept = np.flatnonzero(found.kept)
-    if len(kept) < _LEAST_WINDOWS:
-        return None
-    turn = pair.jacobian(points[kept])
-    size = np.abs(np.linalg.det(turn))
-    # one texture under noise of one strength: where the hub's covariance is C, the partner's own is
-    # turn C turn^T / |turn|, in pixels of the hub C / |turn|
-    share = hub_share(whitening) * 2.0 * size / (1.0 + size)
-    seen = found.covariance_px[kept]
-    turned = turn @ seen @ np.swapaxes(turn, 1, 2)
-    return _Found(
-        partner,
-        kept,
-        pair.map(found.b[kept]),
-        0.5 * np.trace(turned, axis1=1, axis2=2) * (1.0 - share),
-        0.5 * np.trace(seen, axis1=1, axis2=2) * share,
-    )
-
-
-def _whitening(hub: ImageSource, laid: ImageSource, points: Array) -> Whitening:
-    """Filters for a pair laid one on the other; fixed ones where the images do not show them."""
-    try:
-        return estimate_whitening(hub, laid, points, points, tile=_TILE, reach=(1, 1))
-    except EstimationError:
-        return gradient_filter()
-
-
-def hub_share(whitening: Whitening) -> float:
-    """Share of a match's variance that is the hub's own noise, the same in all its matches.
-
-    Notes
-    -----
-    With the signal-to-noise ratio r of each of two images alike, the score's variance is 2 / r + 1 / r^2 at
-    each frequency: noise of either image times the texture, and noise times noise, which is new in every
-    pair. Their coherence is c = (r / (1 + r))^2, a match weighs frequencies by f^2 c / (1 - c).
-    """
-    if whitening.coherence is None:
-        return 0.5
-    c = whitening.coherence
-    ratio = np.sqrt(c) / (1.0 - np.sqrt(c))
-    fy, fx = np.meshgrid(np.fft.fftfreq(len(c)), np.fft.rfftfreq(len(c)), indexing="ij")
-    # frequencies beyond this are filtered out; columns but the first stand for two
-    weight = (fy**2 + fx**2) * (np.maximum(np.abs(fy), fx) < _HIGHEST) * np.where(fx > 0.0, 2.0, 1.0)
-    odds = c / (1.0 - c)
-    return float((weight * odds**2 / ratio).sum() / (weight * odds).sum())
-
-
-def _matched(
-    hub: ImageSource,
+def _found(
+    pair: PairOnGeometry,
     laid: ImageSource,
     points: Array,
     search: tuple[int, int],
     plan: TrackPlan,
     whitening: Whitening,
-) -> Matches:
+) -> FoundWindows:
     """Points (N, 2) of the hub found in a partner that is laid on it."""
-    window = (plan.window, plan.window)
-    return match_images(
-        hub, laid, points, points, window=window, search_px=search, whitening=whitening,
+    return pair.found(
+        points, window=(plan.window, plan.window), search_px=search, whitening=whitening, laid=laid,
         min_score=plan.min_score,
     )  # fmt: skip
-
-
-def _dense_points(reduced: ImageSource, window: int) -> Array:
-    """Centres of windows of an image, half over each other, that can be located."""
-    size = (window, window)
-    points = grid_points(reduced.shape, window=size, step=(window // 2, window // 2))
-    return points[texture_strength(reduced, points, size) > 0.0]
-
-
-def _search_range(pair: _Pair, plan: TrackPlan, widening: float) -> Array:
-    """How far (lines, columns; px) heights and (widened) pointing can move what the hub shows, at most."""
-    shape = np.array(pair.hub.shape)
-    axes = [np.linspace(0.0, size - 1.0, 3) for size in shape]
-    probes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    level = pair.map(probes)
-    reach = np.zeros(2)
-    for height in (-plan.height_range, plan.height_range):
-        moved = (
-            pair.partner_camera.project(pair.hub_camera.locate(probes, pair.surface.raised(height))) - level
-        )
-        reach = np.fmax(reach, np.nanmax(np.abs(moved), axis=0, initial=0.0))
-    focal = max(pair.hub_camera.detector.focal_length_px, pair.partner_camera.detector.focal_length_px)
-    return np.asarray(reach + 2.0 * widening * plan.pointing_error * focal)
 
 
 def _coarsest(reach: Array, shape: tuple[int, int], window: int) -> int:

@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import EstimationError
 from sightline.imaging.reduce import ReducedImage, whole_pixels
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import MASKED, OUTSIDE
-from sightline.matching.whitening import estimate_whitening
+from sightline.matching.whitening import pair_whitening
 
 Array = NDArray[np.float64]
 
@@ -136,10 +135,7 @@ def fit_bands(
     empty = np.empty((0, 2))
     if not len(points):
         return BandFit(images, empty, empty, empty, 0)
-    try:
-        whitening = estimate_whitening(a, b, points, points)
-    except EstimationError:
-        whitening = None
+    whitening = pair_whitening(a, b, points)
     found = match_images(a, b, points, points, window=window, search_px=search_px, whitening=whitening)
     offset = found.b - found.a
     kept = found.kept.copy()

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.geometry.camera import FrameCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
+from sightline.matching.on_geometry import resampled
 from sightline.motion.band import Frame
-from sightline.motion.frames.matches import laid_frame
 from sightline.result import Result, makes_result
 
 Array = NDArray[np.float64]
@@ -149,7 +151,6 @@ def frame_mosaic(
     """
     whole = BeforeSky(surface)
     target = picture_camera(cameras, whole)
-    blank = ArrayImage(np.zeros(target.shape, dtype=np.float32))
     strips = sorted({frame.strip for frame in frames})
     total = np.zeros((len(strips), *target.shape))
     weight = np.zeros((len(strips), *target.shape))
@@ -161,9 +162,8 @@ def frame_mosaic(
             frame.image if masked else ArrayImage(_whole(frame.image)),
             ArrayImage(_fade(camera.shape)),
         )
-        pixels, fade = (
-            laid_frame([blank, source], [target, camera], whole, 0, 1).read(*box) for source in sources
-        )
+        geometry = partial(predict_match, target, camera, whole)
+        pixels, fade = (resampled(source, geometry, target.shape).read(*box) for source in sources)
         good = np.isfinite(pixels) & np.isfinite(fade)
         share = np.where(good, np.clip(fade, 1e-3, 1.0), 0.0)
         place = (strips.index(frame.strip), slice(*box[0]), slice(*box[1]))

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from motion.strips import ALTITUDE, IFOV, PERIOD, SPEED, moved_by_turn, sampled_motion, strip_cameras
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Plane
 from sightline.matching.matches import Matches
-from sightline.motion.measure.predict import predict_match, residuals, sensitivities, turned
+from sightline.motion.measure.predict import residuals, sensitivities, turned
 
 AHEAD = (400.0, -200.0)
 PIXELS = np.array([[0.0, 0.0], [100.0, 159.5], [300.25, 31.5], [350.0, 319.0]])

@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 from motion.strips import ALTITUDE, IFOV, PERIOD, T0, T1, sampled_motion, strip_cameras
 from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
 from sightline.imaging.source import ArrayImage
-from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.windows import (
     brightest_parts,
     exposure_times,

@@ -10,30 +10,27 @@ Not here: the first guess (``start.py``), sensitivities (``linear.py``), the est
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import FrameCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
-from sightline.imaging.source import ArrayImage, ImageSource
-from sightline.imaging.warp import WarpedImage, lattice_map
-from sightline.matching import matches as codes
-from sightline.matching.match_images import match_images
-from sightline.matching.whitening import Whitening
-from sightline.motion.measure.stars import pair_whitening
-from sightline.motion.measure.windows import WindowGrid, predict_windows, window_grid
+from sightline.imaging.source import ImageSource, in_memory
+from sightline.matching.on_geometry import FoundWindows, PairOnGeometry
+from sightline.matching.whitening import Whitening, pair_whitening
+from sightline.motion.measure.windows import WindowGrid, window_grid
 from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 
-#: Columns between places where the map between two frames is handed to the resampler, which goes in straight
-#: lines between: h px bias a window by about d h^2 / (6 f^2) for a displacement d and focal length f, 3e-4 px
-#: for d = 100, h = 4 and f = 1000.
-MAP_SPACING = 4
+#: Tiles that teach the filters of a pair.
+TILES = 128
 #: Fewest windows a pair must share to be matched at all.
 MIN_WINDOWS = 6
 
@@ -176,18 +173,6 @@ def match_neighbours(
     return out
 
 
-def laid_frame(
-    images: Sequence[ImageSource], cameras: Sequence[FrameCamera], surface: Surface, hub: int, partner: int
-) -> WarpedImage:
-    """The partner's frame in the geometry of the hub, as far as the cameras know it."""
-    source, target = cameras[hub], cameras[partner]
-
-    def exact(pixels: Array) -> Array:
-        return target.project(source.locate(pixels, surface))
-
-    return WarpedImage(images[partner], lattice_map(exact), images[hub].shape, MAP_SPACING)
-
-
 def match_hub(
     images: Sequence[ImageSource],
     cameras: Sequence[FrameCamera],
@@ -203,58 +188,41 @@ def match_hub(
     `whitenings` holds the filters of each lag once they are known: one camera took all frames. Without it
     windows are compared as they are.
     """
-    predicted = predict_windows(cameras, hub, partners, surface, grid)
-    ground = cameras[hub].locate(grid.centres, surface)
-    g = len(grid.centres)
-    lines, columns = images[hub].shape
     # whole frames at once: windows overlap, and a frame fits in memory
-    whole = ArrayImage(images[hub].read((0, lines), (0, columns)), images[hub].mask((0, lines), (0, columns)))
-    measured: list[Array] = []
-    covariances: list[Array] = []
-    statuses: list[NDArray[np.uint8]] = []
-    scores: list[Array] = []
-    kept: list[int] = []
-    for partner, prediction in zip(partners, predicted, strict=True):
-        inside = np.isfinite(prediction.b).all(axis=1)
-        if inside.sum() < MIN_WINDOWS:
+    whole, points = in_memory(images[hub]), grid.centres
+    found: dict[int, FoundWindows] = {}
+    for partner in partners:
+        geometry = partial(predict_match, cameras[hub], cameras[partner], surface)
+        pair = PairOnGeometry(whole, images[partner], geometry)
+        seen = np.isfinite(pair.where(points)).all(axis=1)
+        if seen.sum() < MIN_WINDOWS:
             continue
-        laid = ArrayImage(laid_frame(images, cameras, surface, hub, partner).read((0, lines), (0, columns)))
-        lag = partner - hub
+        laid, lag = pair.laid(), partner - hub
         if whitenings is not None and whitenings.get(lag) is None:
-            whitenings[lag] = pair_whitening(whole, laid, grid.centres[inside])
-        found = match_images(
-            whole,
-            laid,
-            grid.centres,
-            grid.centres,
-            window=grid.window,
-            search_px=(plan.search_px, plan.search_px),
+            whitenings[lag] = pair_whitening(whole, laid, points[seen], most_tiles=TILES)
+        found[partner] = pair.found(
+            points, window=grid.window, search_px=(plan.search_px, plan.search_px), laid=laid,
             whitening=None if whitenings is None else whitenings[lag],
-        )
-        good = found.kept & inside
-        b, covariance = np.full((g, 2), np.nan), np.tile(np.eye(2), (g, 1, 1))
-        turn = prediction.affine[good]
-        # the map's own value at the centre, to which the laid frame refers, not its mean over the window
-        centre = cameras[partner].project(ground[good])
-        b[good] = centre + np.einsum("nij,nj->ni", turn, found.b[good] - grid.centres[good])
-        covariance[good] = turn @ found.covariance_px[good] @ np.swapaxes(turn, 1, 2)
-        status = np.where(found.kept & ~inside, np.uint8(codes.OUTSIDE), found.status)
-        measured.append(b)
-        covariances.append(covariance)
-        statuses.append(status)
-        scores.append(found.score)
-        kept.append(partner)
-    if not kept:
-        return None
+        )  # fmt: skip
+    return frame_star(hub, found, grid.shape, grid.window) if found else None
+
+
+def frame_star(
+    hub: int, found: Mapping[int, FoundWindows], shape: tuple[int, int], window: tuple[int, int]
+) -> FrameStar:
+    """What was found of a frame's windows, (rows, blocks) of them, in partners by their number."""
+    matches = [one.matches for one in found.values()]
+    kept = np.stack([one.kept for one in matches], axis=1)
+    covariance = np.stack([one.covariance_px for one in matches], axis=1)
     return FrameStar(
         hub,
-        tuple(kept),
-        grid.shape,
-        grid.window,
-        grid.centres,
-        np.stack(measured, axis=1),
-        np.stack(covariances, axis=1),
-        np.stack(statuses, axis=1),
-        np.stack(scores, axis=1),
-        np.ones((g, len(kept))),
+        tuple(found),
+        shape,
+        window,
+        matches[0].a,
+        np.where(kept[..., None], np.stack([one.b for one in matches], axis=1), np.nan),
+        np.where(kept[..., None, None], covariance, np.eye(2)),
+        np.stack([one.status for one in matches], axis=1),
+        np.stack([one.score for one in matches], axis=1),
+        np.ones(kept.shape),
     )

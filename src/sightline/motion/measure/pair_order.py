@@ -11,11 +11,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
-from sightline.motion.measure.predict import MovingCamera, predict_match
+from sightline.motion.measure.predict import MovingCamera
 from sightline.motion.measure.windows import window_grid
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
-"""Where the partner of a pixel should be, and how that place moves with attitude.
+"""How the partner of a pixel moves with attitude.
 
 The matching model of S1 (boxes 22 and 26 of its figure 15): locate in image a, project into
-image b, compare with what was measured, differentiate by attitude, by the static parameters
-of the instrument and by the height of the ground.
+image b (``geometry/conjugate.py``), compare with what was measured, differentiate by attitude, by the static
+parameters of the instrument and by the height of the ground.
 
 Not here: measuring the partner (``matching/match_images.py``), solving (``motion/strip/joint.py``).
 """
@@ -16,7 +16,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import Matches
@@ -91,30 +92,6 @@ class Sensitivities:
     angles_b: Array
     statics: Array
     height: Array
-
-
-def predict_match(camera_a: Camera, camera_b: Camera, surface: Surface, pixels_a: Array) -> Array:
-    """Pixels of image b that should show what `pixels_a` show in image a.
-
-    Parameters
-    ----------
-    camera_a, camera_b : Camera
-        Geometry of the two images.
-    surface : Surface
-        What the lines of sight meet.
-    pixels_a : (N, 2)
-        (line, column), px.
-
-    Returns
-    -------
-    (N, 2)
-        (line, column), px; NaN where the ray misses the surface or b never sees the point.
-
-    Notes
-    -----
-    S1's matching model, in the order that works: ``Loc_b^-1 o Loc_a``.
-    """
-    return camera_b.project(camera_a.locate(pixels_a, surface))
 
 
 def residuals(matches: Matches, predicted: Array) -> Array:

@@ -14,20 +14,22 @@ Not here: matching of whole frames (``motion/frames/matches.py``), the estimate 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import FrameCamera
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Infinity, Surface
 from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.matching import matches as codes
-from sightline.matching.match_images import match_images
+from sightline.matching.on_geometry import PairOnGeometry
 from sightline.motion.band import Frame
-from sightline.motion.frames.matches import FramePlan, FrameStar, match_hub
-from sightline.motion.measure.windows import WindowGrid, predict_windows, window_grid
+from sightline.motion.frames.matches import FramePlan, FrameStar, frame_star, match_hub
+from sightline.motion.measure.windows import WindowGrid, window_grid
 
 Array = NDArray[np.float64]
 
@@ -195,48 +197,23 @@ def _match_narrow(
 
     Both images keep their own lines; only along the columns is structure selected.
     """
-    predicted = predict_windows(cameras, hub, (partner,), surface, grid)[0]
-    half = (np.array(grid.window) - 1) / 2.0
-    last = np.array(images[partner].shape) - 1.0
-    with np.errstate(invalid="ignore"):
-        room = np.minimum(predicted.b[:, 0] - half[0], last[0] - half[0] - predicted.b[:, 0])
-    rows = np.where(np.isfinite(room), room, -np.inf).reshape(grid.shape)
-    if not (rows >= 0.0).any():
-        return None
+    geometry = partial(predict_match, cameras[hub], cameras[partner], surface)
+    pair = PairOnGeometry(_along_columns(images[hub]), _along_columns(images[partner]), geometry)
     # of all heights of the row, that which leaves most lines free on both sides
-    own = np.minimum(grid.lines - half[0], images[hub].shape[0] - 1.0 - half[0] - grid.lines)
-    free = np.minimum(rows, own[:, None])
-    best = np.argmax(np.where(np.isfinite(free), free, -1.0), axis=0)
-    chosen = best * grid.shape[1] + np.arange(grid.shape[1])
-    points, affine = grid.centres[chosen], predicted.affine[chosen]
-    expected = cameras[partner].project(cameras[hub].locate(points, surface))
-    found = match_images(
-        _along_columns(images[hub]),
-        _along_columns(images[partner]),
-        points,
-        expected,
-        window=grid.window,
-        affine=affine,
-        search_px=(0, search_px),
-        whitening=None,
-        max_sigma_px=NARROW_SIGMA,
-    )
-    good = found.kept & (free[best, np.arange(len(best))] >= 0.0)
-    b = np.where(good[:, None], found.b, np.nan)
-    covariance = np.where(good[:, None, None], found.covariance_px, np.eye(2))
-    status = np.where(found.kept & ~good, np.uint8(codes.OUTSIDE), found.status)
-    return FrameStar(
-        hub,
-        (partner,),
-        (1, len(points)),
-        grid.window,
-        points,
-        b[:, None],
-        covariance[:, None],
-        status[:, None],
-        found.score[:, None],
-        np.ones((len(points), 1)),
-    )
+    half = (grid.window[0] - 1) / 2.0
+    sides = ((pair.hub, grid.centres[:, 0]), (pair.partner, pair.where(grid.centres)[:, 0]))
+    room = [np.minimum(line - half, image.shape[0] - 1.0 - half - line) for image, line in sides]
+    free = np.nan_to_num(np.minimum(*room), nan=-1.0).reshape(grid.shape)
+    best, blocks = np.argmax(free, axis=0), np.arange(grid.shape[1])
+    inside = free[best, blocks] >= 0.0
+    if not inside.any():
+        return None
+    found = pair.found(
+        grid.centres[best * grid.shape[1] + blocks], window=grid.window, search_px=(0, search_px),
+        whitening=None, max_sigma_px=NARROW_SIGMA,
+    )  # fmt: skip
+    found = replace(found, matches=found.matches.with_status(~inside, codes.OUTSIDE))
+    return frame_star(hub, {partner: found}, (1, len(best)), grid.window)
 
 
 def _along_columns(image: ImageSource) -> ArrayImage:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.stars import pixel_sizes
 from sightline.motion.measure.windows import window_grid
 

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.robust import robust_sigmas
+from sightline.geometry.conjugate import predict_match
 from sightline.matching.matches import KEPT
 from sightline.motion.band import Band
-from sightline.motion.measure.predict import MovingCamera, predict_match
+from sightline.motion.measure.predict import MovingCamera
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.statics import BEND_DEGREES, band_statics, measure_of_shapes
 from sightline.motion.strip.estimate import StripState

@@ -10,7 +10,8 @@ sides (``photogrammetry/match_frames.py``).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import Array, read_only
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
-from sightline.imaging.reduce import pattern_means, reduced_pixels, whole_pixels
+from sightline.imaging.reduce import pattern_means, whole_pixels
 from sightline.imaging.source import ImageSource
-from sightline.matching.match_images import match_images
-from sightline.matching.select import grid_points, spread_subset, texture_strength
+from sightline.matching.on_geometry import PairOnGeometry, lattice_points, within
+from sightline.matching.select import select_points
 from sightline.matching.whitening import gradient_filter
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.sightings import Images, Tracks, joined
@@ -95,11 +97,8 @@ def cross_pairs(
     list of (frame, partner, lines)
         `lines` (bool): those of the frame that the partner sees in like wavelengths.
     """
-    lines, columns = detector.shape
-    probes = np.stack(
-        np.meshgrid(np.linspace(0, lines - 1, _PROBES), np.linspace(0, columns - 1, _PROBES), indexing="ij"),
-        axis=-1,
-    ).reshape(-1, 2)
+    lines = detector.shape[0]
+    probes = lattice_points(detector.shape, _PROBES)
     cameras = frame_cameras(images, [detector], [mount])
     nm = _line_nm(detector)
     chosen = _spaced(images, detector, mount, surface, group)
@@ -159,8 +158,7 @@ def _alike(
 ) -> tuple[float, NDArray[np.bool_]] | None:
     """Share of a frame that another sees in like wavelengths, and its lines there; None if too little."""
     seen = camera.project(ground)
-    with np.errstate(invalid="ignore"):
-        inside = ((seen >= 0.0) & (seen <= np.array(camera.shape) - 1.0)).all(axis=1)
+    inside = within(seen, camera.shape)
     if not inside.any():
         return None
     places = np.arange(lines)
@@ -208,13 +206,10 @@ def link_stretches(
             progress(number, len(pairs))
         cameras = frame_cameras(images[np.array([i, j])], [detector], [mount])
         two = _match_pair((sources[i], sources[j]), cameras, surface, lines, plan)
-        if two is None:
-            continue
-        here, there, sigma = two
-        name = names + np.arange(len(here))
-        names += len(here)
-        image = np.repeat([i, j], len(here))
-        found.append(Tracks(image, np.tile(name, 2), np.concatenate([here, there]), np.tile(sigma, 2)))
+        if two is not None:
+            image = np.array([i, j])[two.image]
+            found.append(replace(two, image=image, point=names + two.point))
+            names += len(two) // 2
     return joined(found) if found else None
 
 
@@ -224,47 +219,43 @@ def _match_pair(
     surface: Surface,
     lines: NDArray[np.bool_],
     plan: CrossPlan,
-) -> tuple[Array, Array, Array] | None:
-    """Pixels in both frames of a pair and the sigma of each; None if too few agree."""
-    hub, partner = cameras
-    k = plan.reduction
-    size, step = (plan.window, plan.window), 2 * plan.window // 3
+) -> Tracks | None:
+    """Points of a pair of frames, which are images 0 and 1; None if too few agree."""
+    k, size = plan.reduction, (plan.window, plan.window)
     images = (pattern_means(sources[0], k), pattern_means(sources[1], k)) if k > 1 else sources
+    whole = PairOnGeometry(*sources, partial(predict_match, cameras[0], cameras[1], surface))
+    pair = PairOnGeometry(*images, whole.reduced(k).geometry)
 
-    def seen(places: Array, height: float = 0.0) -> Array:
-        """Where the partner sees what the hub sees at some places, both in pixels of what is compared."""
-        ground = hub.locate(whole_pixels(places, k), surface.raised(height) if height else surface)
-        return reduced_pixels(partner.project(ground), k)
+    def alike(points: Array) -> NDArray[np.bool_]:
+        """Which windows of the hub the partner sees in like wavelengths."""
+        return lines[np.rint(whole_pixels(points, k)[:, 0]).astype(np.intp)] & pair.inside(points)
 
-    points = grid_points(images[0].shape, window=size, step=(step, step))
-    points = points[lines[np.rint(whole_pixels(points, k)[:, 0]).astype(np.intp)]]
-    there = seen(points)
-    with np.errstate(invalid="ignore"):
-        inside = ((there >= 0.0) & (there <= np.array(images[1].shape) - 1.0)).all(axis=1)
-    points, there = points[inside], there[inside]
-    strength = texture_strength(images[0], points, size)
-    strength[~(strength > 0.0)] = np.nan
-    rows = spread_subset(points, strength, _POINTS, (_CELLS, _CELLS))
-    if len(rows) < _LEAST_WINDOWS:
+    step = 2 * plan.window // 3
+    points = select_points(
+        pair.hub, window=size, step=(step, step), count=_POINTS, cells=(_CELLS, _CELLS), allowed=alike
+    )
+    if len(points) < _LEAST_WINDOWS:
         return None
-    points, there = points[rows], there[rows]
-    high = np.abs(seen(points, plan.height_range) - there)
-    loose = 2.0 * plan.pointing_error * partner.detector.focal_length_px / k
+    high = pair.reach(points, plan.height_range)
+    loose = 2.0 * plan.pointing_error * cameras[1].detector.focal_length_px / k
     reach = np.minimum(np.ceil(np.nanmax(high, axis=0) + loose) + 1, _LONGEST_SEARCH).astype(int)
-    affine = np.stack([(seen(points + s) - seen(points - s)) / 2.0 for s in np.eye(2)], axis=-1)
-    found = match_images(
-        images[0], images[1], points, there, window=size, affine=affine,
-        search_px=(int(reach[0]), int(reach[1])), whitening=gradient_filter(), min_score=_MIN_SCORE,
+    found = pair.found(
+        points, window=size, search_px=(int(reach[0]), int(reach[1])), whitening=gradient_filter(),
+        min_score=_MIN_SCORE,
     )  # fmt: skip
-    kept = found.kept
-    if kept.sum() < _LEAST_WINDOWS:
+    matches = found.matches
+    if matches.kept.sum() < _LEAST_WINDOWS:
         return None
     # windows that lie on a spurious peak lie anywhere; true ones go together but for the relief
-    moved = found.b[kept] - there[kept]
+    moved = matches.b - pair.where(points)
     spread = np.nanmedian(high, axis=0) + _DISAGREE
-    near = (np.abs(moved - np.median(moved, axis=0)) < spread).all(axis=1)
-    if near.sum() < _LEAST_WINDOWS or near.mean() < _AGREEMENT:
+    near = matches.kept & (np.abs(moved - np.median(moved[matches.kept], axis=0)) < spread).all(axis=1)
+    if near.sum() < max(_LEAST_WINDOWS, _AGREEMENT * matches.kept.sum()):
         return None
-    covariance = found.covariance_px[kept][near]
-    sigma = np.sqrt(0.25 * np.trace(covariance, axis1=1, axis2=2) + _FLOOR**2)
-    return whole_pixels(points[kept][near], k), whole_pixels(found.b[kept][near], k), k * sigma
+    own, shared = (k * np.sqrt(part[near] + _FLOOR**2) for part in found.variances())
+    return Tracks(
+        np.repeat([0, 1], near.sum()),
+        np.tile(np.arange(near.sum()), 2),
+        whole_pixels(np.concatenate([points[near], matches.b[near]]), k),
+        np.concatenate([shared, own]),
+    )

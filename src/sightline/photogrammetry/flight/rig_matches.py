@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +21,16 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import Array
+from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
-from sightline.imaging.source import ArrayImage, ImageSource
-from sightline.imaging.warp import WarpedImage, lattice_map
+from sightline.imaging.source import ImageSource, in_memory
 from sightline.matching.follow import Followed
-from sightline.matching.match_images import match_images
+from sightline.matching.on_geometry import PairOnGeometry, within
 from sightline.matching.select import grid_points
-from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
+from sightline.matching.whitening import Whitening, gradient_filter, pair_whitening
 from sightline.photogrammetry.flight.rig import RigCamera, RigOffsets, rig_images
 from sightline.photogrammetry.frame_cameras import frame_cameras
-from sightline.photogrammetry.match_frames import TrackPlan, hub_share, match_frames
+from sightline.photogrammetry.match_frames import TrackPlan, match_frames
 from sightline.photogrammetry.sightings import Images, Tracks, joined
 
 #: Captures that tell how a camera is turned; windows in each.
@@ -46,9 +47,6 @@ _LOST_SEARCH = 16
 _MIN_SCORE = 0.3
 #: px; what lenses, other wavelengths and another view move a window by.
 _FLOOR_PX = 0.03
-#: Columns between places where the map to another camera is computed: a turn of a hundredth bends it by
-#: 1e-5 of the squared distance in frames of a thousand pixels, which must not reach a thousandth of a pixel.
-_SPACING = 8
 
 Report = Callable[[int, int], None]
 
@@ -157,7 +155,7 @@ def _turn_of(
         pair = [rig_cameras(images, cameras, offsets, int(k))[c] for c in (partner, camera)]
         try:
             found = match_frames(
-                [_whole(cameras[c].sources[k]) for c in (partner, camera)], pair, surface, plan
+                [in_memory(cameras[c].sources[k]) for c in (partner, camera)], pair, surface, plan
             )
         except EstimationError:
             continue
@@ -197,34 +195,6 @@ def _common_turn(predicted: Array, found: Array, focal: Array) -> tuple[Rotation
         limit = max(min(limit / 2.0, 3.0 * float(np.median(miss))), _AGREE_PX)
         inside = miss < limit
     return turn, inside
-
-
-@dataclass(frozen=True, eq=False)
-class _View:
-    """A hub and another camera's image, with the map between them over the surface."""
-
-    hub: FrameCamera
-    other: FrameCamera
-    surface: Surface
-
-    def map(self, pixels: Array) -> Array:
-        """Where the other shows pixels (N, 2) of the hub."""
-        return self.other.project(self.hub.locate(pixels, self.surface))
-
-    def affine(self, pixels: Array) -> Array:
-        """Change (N, 2, 2) of that with (line, column) of the hub."""
-        step = np.diag([2.0, 2.0])
-        return np.stack([(self.map(pixels + s) - self.map(pixels - s)) / 4.0 for s in step], axis=-1)
-
-    def laid(self, source: ImageSource) -> ImageSource:
-        """The other's image in the geometry of the hub.
-
-        An affine for each window would not do: a camera that is turned against the hub about an axis in its
-        image plane bends the map within a window, by the same in all windows. That looks like an offset.
-        """
-        lines, columns = self.hub.shape
-        warped = WarpedImage(source, lattice_map(self.map), (lines, columns), _SPACING)
-        return ArrayImage(warped.read((0, lines), (0, columns)))
 
 
 def find_in_rig(
@@ -284,9 +254,10 @@ def find_in_rig(
                 if not cameras[c].usable[k]:
                     continue
                 names = followed.point[rows]
+                geometry = partial(predict_match, hub_camera, at[c], surface)
                 track = _found(
-                    images_of(0, hub), images_of(c, k), _View(hub_camera, at[c], surface),
-                    followed.pixels[rows], points[names], names, c * count + k, search, filters[c],
+                    PairOnGeometry(images_of(0, hub), images_of(c, k), geometry), followed.pixels[rows],
+                    at[c].project(points[names]), names, c * count + k, search, filters[c],
                 )  # fmt: skip
                 if track is not None:
                     found.append(track)
@@ -303,17 +274,10 @@ class _Held:
         """The image of a camera in a capture."""
         key = camera, capture
         if key not in self._held:
-            self._held[key] = _whole(self._cameras[camera].sources[capture])
+            self._held[key] = in_memory(self._cameras[camera].sources[capture])
             while len(self._held) > (_SPAN + 1) * len(self._cameras):
                 self._held.popitem(last=False)
         return self._held[key]
-
-
-def _whole(source: ImageSource) -> ImageSource:
-    """An image read at once."""
-    lines, columns = source.shape
-    window = (0, lines), (0, columns)
-    return ArrayImage(source.read(*window), source.mask(*window))
 
 
 def _filters(
@@ -329,15 +293,11 @@ def _filters(
         return gradient_filter()
     capture = int(both[len(both) // 2])
     at = rig_cameras(images, cameras, offsets, capture)
-    view = _View(at[0], at[camera], surface)
-    hub, other = (_whole(cameras[c].sources[capture]) for c in (0, camera))
+    hub, other = (in_memory(cameras[c].sources[capture]) for c in (0, camera))
+    pair = PairOnGeometry(hub, other, partial(predict_match, at[0], at[camera], surface))
     places = grid_points(hub.shape, window=_TILE)
-    try:
-        return estimate_whitening(
-            hub, view.laid(other), places, places, tile=_TILE, reach=(_SEARCH, _SEARCH)
-        )  # fmt: skip
-    except EstimationError:
-        return gradient_filter()
+    learnt = pair_whitening(hub, pair.laid(), places, tile=_TILE, reach=(_SEARCH, _SEARCH))
+    return learnt or gradient_filter()
 
 
 def _seen_about(followed: Followed, first: RigCamera, capture: int) -> NDArray[np.intp]:
@@ -348,44 +308,33 @@ def _seen_about(followed: Followed, first: RigCamera, capture: int) -> NDArray[n
 
 
 def _found(
-    hub: ImageSource,
-    source: ImageSource,
-    view: _View,
+    pair: PairOnGeometry,
     places: Array,
-    points: Array,
+    predicted: Array,
     names: NDArray[np.intp],
     image: int,
     search: int,
     whitening: Whitening,
 ) -> Tracks | None:
-    """Windows of a hub in one other image."""
-    predicted = view.other.project(points)
-    shape, half = np.array(view.other.shape), 0.5 * _WINDOW
-    with np.errstate(invalid="ignore"):
-        inside = ((predicted > half) & (predicted < shape - 1.0 - half)).all(axis=1)
-    if inside.sum() < _LEAST_WINDOWS:
+    """Windows about `places` of a hub in one other image, sought where their points are predicted.
+
+    The image is laid on the hub: an affine for each window would not do. A camera that is turned against the
+    hub about an axis in its image plane bends the map within a window, by the same in all windows, and that
+    looks like an offset.
+    """
+    seen = within(predicted, pair.partner.shape, 0.5 * _WINDOW)
+    if seen.sum() < _LEAST_WINDOWS:
         return None
-    places, predicted, names = places[inside], predicted[inside], names[inside]
-    affine = view.affine(places)
-    known = np.isfinite(affine).all(axis=(1, 2))
-    places, predicted, names, affine = places[known], predicted[known], names[known], affine[known]
-    if len(places) < _LEAST_WINDOWS:
-        return None
-    beside = np.linalg.solve(affine, (predicted - view.map(places))[..., None])[..., 0]
-    match = match_images(
-        hub, view.laid(source), places, places + beside, window=(_WINDOW, _WINDOW),
-        search_px=(search, search), whitening=whitening, min_score=_MIN_SCORE,
+    found = pair.found(
+        places[seen], at=predicted[seen], window=(_WINDOW, _WINDOW), search_px=(search, search),
+        whitening=whitening, laid=pair.laid(), min_score=_MIN_SCORE,
     )  # fmt: skip
-    kept = np.flatnonzero(match.kept)
-    found = view.map(match.b[kept])
-    seen = np.isfinite(found).all(axis=1)
-    kept, found = kept[seen], found[seen]
-    if not len(kept):
+    kept = found.matches.kept
+    if not kept.any():
         return None
-    to_other = affine[kept]
-    covariance = to_other @ match.covariance_px[kept] @ np.swapaxes(to_other, 1, 2)
-    variance = 0.5 * np.trace(covariance, axis1=1, axis2=2) * (1.0 - hub_share(whitening))
-    return Tracks(np.full(len(kept), image), names[kept], found, np.sqrt(variance + _FLOOR_PX**2))
+    own, _ = found.variances()
+    sigma = np.sqrt(own[kept] + _FLOOR_PX**2)
+    return Tracks(np.full(len(sigma), image), names[seen][kept], found.matches.b[kept], sigma)
 
 
 __all__ = ["Reach", "begin_offsets", "find_in_rig", "rig_cameras"]

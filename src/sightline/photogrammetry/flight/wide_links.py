@@ -23,7 +23,7 @@ from sightline.imaging.reduce import ReducedImage, pattern_means, whole_pixels
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 from sightline.matching.displacement import DisplacementField
 from sightline.matching.follow import NOTHING, Followed, FollowPlan, FollowState, follow_windows
-from sightline.matching.match_images import match_images
+from sightline.matching.on_geometry import PairOnGeometry
 from sightline.matching.select import spread_subset
 from sightline.matching.whitening import gradient_filter
 from sightline.writing import scratch_folder
@@ -31,6 +31,7 @@ from sightline.writing import scratch_folder
 __all__ = ["WidePlan", "link_widely", "wide_pairs"]
 
 Index = NDArray[np.intp]
+_InPartner = tuple[Index, Array, Array]
 
 #: px; longest side that features are sought at: finer ones take long and are distinguished no better.
 _LONGEST_SIDE = 1600
@@ -46,7 +47,7 @@ _SEARCH, _APART = 2, 4.0
 _FLOOR, _LOOSE = 0.1, 0.7
 #: Frames before and after each that are tried; all pairs are where there are few frames.
 _NEIGHBOURS, _FEW = 4, 24
-#: px; step over which the local geometry between two frames is taken.
+#: px; half the step over which the local geometry between two frames is taken.
 _STEP = 8.0
 #: Share of the frames that must have been followed from another for features not to be tried; and frames from
 #: which on a sequence that was followed in parts is not looked at again.
@@ -267,14 +268,9 @@ class _View:
         self.linear = fit_affine(a, b)
         self.field = DisplacementField(a, b - _affine(self.linear, a))
 
-    def __call__(self, places: Array) -> Array:
-        return _affine(self.linear, places) + self.field.at(places)
-
-    def jacobian(self, places: Array) -> Array:
-        """(N, 2, 2)"""
-        return np.stack(
-            [(self(places + s) - self(places - s)) / (2.0 * _STEP) for s in _STEP * np.eye(2)], axis=-1
-        )
+    def __call__(self, pixels: Array, height: float = 0.0, /) -> Array:
+        """The `Geometry` of the pair; heights are what features themselves have shown."""
+        return _affine(self.linear, pixels) + self.field.at(pixels)
 
 
 def fit_affine(a: Array, b: Array) -> Array:
@@ -309,8 +305,8 @@ def fit_similarity(a: Array, b: Array, middle: Array) -> Array:
 
 def _windows_of(
     frames: dict[int, _Frame], i: int, partners: dict[int, tuple[Array, Array]], plan: WidePlan
-) -> tuple[Array, dict[int, tuple[Index, Array, Array]]]:
-    """Windows of a frame, and of each partner the rows, pixels and variance of those found there.
+) -> tuple[Array, dict[int, _InPartner]]:
+    """Windows of a frame, and of each partner the rows, pixels and variances of those found there.
 
     Pixels of the reduced frames. Windows lie on features: what else there is seldom looks alike from afar.
     """
@@ -328,40 +324,36 @@ def _windows_of(
         first += len(a)
         sought = np.full((len(chosen), 2), np.nan)
         sought[row[row >= 0]] = b[row >= 0]
-        found = _in_partner(hub, frames[j].small, _View(a, b), points[chosen], sought, plan)
+        pair = PairOnGeometry(hub, frames[j].small, _View(a, b), step=_STEP)
+        found = _in_partner(pair, points[chosen], sought, plan)
         if found is not None:
             out[j] = found
     return points[chosen], out
 
 
-def _in_partner(
-    hub: ImageSource, partner: ImageSource, view: _View, points: Array, sought: Array, plan: WidePlan
-) -> tuple[Index, Array, Array] | None:
-    """Rows, pixels and variance (of each image's share) of windows found in a partner; None if too few.
+def _in_partner(pair: PairOnGeometry, points: Array, sought: Array, plan: WidePlan) -> _InPartner | None:
+    """Rows, pixels and variances (hub's and own share, (2, n)) of windows found; None if too few.
 
     `sought` (N, 2): where features put points, NaN where they do not.
     """
-    place, turn = view(points), view.jacobian(points)
-    by_feature = np.isfinite(sought).all(axis=1)
+    place = pair.where(points)
     # a feature that does not go with those around it fits the geometry by chance
-    by_feature &= np.linalg.norm(np.nan_to_num(sought) - place, axis=1) < _APART
-    found = match_images(
-        hub, partner, points, np.where(by_feature[:, None], sought, place), affine=turn,
-        window=(plan.window, plan.window), search_px=(_SEARCH, _SEARCH), whitening=gradient_filter(),
-        min_score=plan.min_score, threads=1,
+    by_feature = np.linalg.norm(np.nan_to_num(sought, nan=np.inf) - place, axis=1) < _APART
+    found = pair.found(
+        points, at=np.where(by_feature[:, None], sought, place), window=(plan.window, plan.window),
+        search_px=(_SEARCH, _SEARCH), whitening=gradient_filter(), min_score=plan.min_score, threads=1,
     )  # fmt: skip
-    moved = np.linalg.norm(found.b - place, axis=1)
-    by_window = found.kept & (np.nan_to_num(moved, nan=np.inf) < _APART)
+    matches = found.matches
+    by_window = matches.kept & (np.linalg.norm(np.nan_to_num(matches.b, nan=np.inf) - place, axis=1) < _APART)
     if (by_feature | by_window).sum() < _LEAST_WINDOWS:
         return None
-    pixels = np.where(by_window[:, None], found.b, sought)
-    variance = np.trace(found.covariance_px, axis1=1, axis2=2) / 4.0 + _FLOOR**2
+    variance = np.stack(found.variances()[::-1]) + _FLOOR**2
     both = by_feature & by_window
     # how well features are placed is estimated from those whose windows were found too
-    miss = np.median(np.abs((found.b - sought)[both])) / 0.6745 if both.sum() >= _LEAST_WINDOWS else _LOOSE
-    variance[~by_window] = 0.5 * max(float(miss), _FLOOR) ** 2 + _FLOOR**2
+    miss = np.median(np.abs((matches.b - sought)[both])) / 0.6745 if both.sum() >= _LEAST_WINDOWS else _LOOSE
+    variance[:, ~by_window] = 0.5 * max(float(miss), _FLOOR) ** 2 + _FLOOR**2
     rows = np.flatnonzero(by_feature | by_window)
-    return rows, pixels[rows], variance[rows]
+    return rows, np.where(by_window[:, None], matches.b, sought)[rows], variance[:, rows]
 
 
 class _Found:
@@ -372,22 +364,20 @@ class _Found:
         self.parts: list[tuple[Index, Index, Array, Array]] = []
         self.links: dict[tuple[int, int], Array] = {}
 
-    def add_hub(
-        self, frame: _Frame, hub: int, points: Array, found: dict[int, tuple[Index, Array, Array]]
-    ) -> None:
+    def add_hub(self, frame: _Frame, hub: int, points: Array, found: dict[int, _InPartner]) -> None:
         """Windows of a frame that were found in others, pixels as they were looked at."""
         if not found:
             return
         own = np.full(len(points), np.inf)
         for rows, _, variance in found.values():
-            own[rows] = np.minimum(own[rows], variance)
+            own[rows] = np.minimum(own[rows], variance[0])
         seen = np.flatnonzero(np.isfinite(own))
         own *= frame.factor**2
         points = frame.whole(points)
         self._write(hub, seen, points[seen], own[seen])
         for j, (rows, pixels, variance) in found.items():
             there = frame.whole(pixels)
-            self._write(j, rows, there, variance * frame.factor**2)
+            self._write(j, rows, there, variance[1] * frame.factor**2)
             self.links[hub, j] = np.concatenate([points[rows], there], axis=1)
         self.names += len(points)
 
