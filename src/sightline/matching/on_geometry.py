@@ -218,7 +218,7 @@ class PairOnGeometry:
             As of `match_images`.
         """
         turn = self.turn(points)
-        known = np.isfinite(turn).all(axis=(1, 2))
+        known = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
         # what cannot be carried into the partner is not looked for
         turn = np.where(known[:, None, None], turn, np.eye(2))
         asked = np.where(known[:, None], points, np.nan)
@@ -233,12 +233,12 @@ class PairOnGeometry:
         if laid is None:
             matches = compared(self.partner, self.where(points) if at is None else at, turn)
             there, places = matches.covariance_px, matches.b
-            here = _carried(np.linalg.inv(turn), there)
+            here = _carried(np.asarray(np.linalg.inv(turn)), there)
         else:
-            beside = (
-                0.0 if at is None else np.linalg.solve(turn, (at - self.where(points))[..., None])[..., 0]
-            )
-            matches = compared(laid, asked + beside, None)
+            start = asked
+            if at is not None:
+                start = asked + np.linalg.solve(turn, (at - self.where(points))[..., None])[..., 0]
+            matches = compared(laid, start, None)
             here, places = matches.covariance_px, self.where(matches.b)
             there = _carried(turn, here)
             lost = matches.kept & ~np.isfinite(places).all(axis=1)
