@@ -129,7 +129,7 @@ class _View:
         return out
 
     def seen(self, pixels: Array, _height: float = 0.0, /) -> Array:
-        """Pixels (N, 2) of the reference, NaN where there is none: the `Geometry` of the two images."""
+        """Pixels (N, 2) of the reference, NaN where there is none: the `PixelMap` of the two images."""
         places = self.system.places(self.ground(pixels))
         return self.reference.pixels(places[:, :2])
 

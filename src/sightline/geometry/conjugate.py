@@ -33,7 +33,7 @@ def predict_match(
 
     Notes
     -----
-    S1's matching model, in the order that works: ``Loc_b^-1 o Loc_a``. Without pixels it is the `Geometry` of
+    S1's matching model, in the order that works: ``Loc_b^-1 o Loc_a``. Without pixels it is the `PixelMap` of
     a pair: ``functools.partial(predict_match, camera_a, camera_b, surface)``.
     """
     return camera_b.project(camera_a.locate(pixels_a, surface.raised(height) if height else surface))

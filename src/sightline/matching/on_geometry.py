@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 MAP_SPACING = 4
 
 
-class Geometry(Protocol):
+class PixelMap(Protocol):
     """Where a partner shows what a hub shows."""
 
     def __call__(self, pixels: Array, height: float = 0.0, /) -> Array:
@@ -115,7 +115,7 @@ class PairOnGeometry:
     Parameters
     ----------
     hub, partner : ImageSource
-    geometry : Geometry
+    geometry : PixelMap
     learnt : DisplacementField, optional
         What matches have shown the geometry to be off by, px of the partner over the hub.
     step : float
@@ -124,7 +124,7 @@ class PairOnGeometry:
 
     hub: ImageSource
     partner: ImageSource
-    geometry: Geometry
+    geometry: PixelMap
     learnt: DisplacementField | None = None
     step: float = 2.0
 

@@ -269,7 +269,7 @@ class _View:
         self.field = DisplacementField(a, b - _affine(self.linear, a))
 
     def __call__(self, pixels: Array, height: float = 0.0, /) -> Array:
-        """The `Geometry` of the pair; heights are what features themselves have shown."""
+        """The `PixelMap` of the pair; heights are what features themselves have shown."""
         return _affine(self.linear, pixels) + self.field.at(pixels)
 
 
