@@ -181,8 +181,8 @@ def test_sentences_and_tables_are_the_numbers_of_the_result():
     # of frames 0, 10, ... 50 two were left out
     assert "4 solved (the subset), 53 estimated" in text and "3 interpolated" in text
     assert "up 0.2 m; roll 0.057 deg" in text
-    assert "position z (up) +2.00 ± 0.20 m" in text and "Hardly observable: position y (north)" in text
-    assert "The data do not show the constant error of position x (east)" in text
+    assert "position up +2.00 ± 0.20 m" in text and "Hardly observable: position north" in text
+    assert "The data do not show the constant error of position east" in text
     assert "0.1 px rms per coordinate" in text and "None of the sightings were rejected" in text
     rows = sequence_words.idle_rows(problem, found, view)
     assert [row[:2] for row in rows] == [["00020 to 00021", "2"], ["00040", "1"]]

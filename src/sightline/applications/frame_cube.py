@@ -385,7 +385,10 @@ def found_views(problem: SequenceProblem, found: SequencePoses, plan: CubePlan |
     usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
     penalty += _BLURRED * (sharpness < plan.sharpness * usual)
     detector = found.poses.detector(problem.detector)
-    return frame_views(problem, images, detector=detector, penalty=penalty, linked=found.stretch)
+    readout = found.poses.readout_time(problem.readout_time)
+    return frame_views(
+        problem, images, detector=detector, penalty=penalty, linked=found.stretch, readout_time=readout
+    )
 
 
 def _adrift(problem: SequenceProblem, found: SequencePoses, most: float) -> NDArray[np.bool_]:

@@ -164,6 +164,11 @@ def check_flight(
             f"1 of {len(problem)} frames can be used: poses come from what frames share; give two or more "
             "that overlap"
         )
+    if problem.readout_sigma > 0.0 and len(problem) >= 2 * BLOCK_FRAMES:
+        raise InputError(
+            f"readout_time_sigma: the readout time is sought of up to {2 * BLOCK_FRAMES - 1} frames at once, "
+            f"got {len(problem)}: find it with a part of the flight, and give it"
+        )
     check_followable(problem.detector.shape, follow_plan(problem, plan))
     refuse_apart(problem)
     if photogrammetry or (photogrammetry is None and not np.isfinite(problem.known.attitude).any()):

@@ -111,6 +111,7 @@ def frame_views(
     detector: AreaDetector | None = None,
     penalty: Array | None = None,
     linked: NDArray[np.intp] | None = None,
+    readout_time: float | None = None,
 ) -> FrameViews:
     """How the frames see the world.
 
@@ -125,11 +126,14 @@ def frame_views(
         What it costs to use each frame, inf where it cannot be used; by default 0 for those with an image.
     linked : (M,), optional
         Stretch of each frame, along which its motion while it is read out is taken; by default by time.
+    readout_time : float, optional
+        s; that found, by default that of the problem.
     """
     images = problem.images if images is None else images
     detector = problem.detector if detector is None else detector
     penalty = np.where(problem.usable, 0.0, np.inf) if penalty is None else penalty
-    position, turned = _instants(images, problem.readout_time, linked)
+    readout = problem.readout_time if readout_time is None else readout_time
+    position, turned = _instants(images, readout, linked)
     camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
     return FrameViews(detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
 

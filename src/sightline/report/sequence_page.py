@@ -48,7 +48,7 @@ def sequence_page(
     return Page(
         heading=summary["name"],
         what="poses of a frame sequence",
-        about=about(problem, summary, view),
+        about=about(problem, summary, view, sum(found.taken_over.values())),
         sentences=words.sentences(problem, found, view) + _cube_words(problem, cube),
         warnings=list(summary.get("warnings", found.warnings)),
         mind="Mind before using the poses",
@@ -105,11 +105,12 @@ def _tables(
 ) -> list[Section]:
     """Constant errors and bow, the subset, time."""
     biases = words.bias_table(problem, found) + words.focal_row(problem, found)
+    biases += words.readout_row(problem, found)
     bows, subset = words.bow_rows(problem, found, view), words.subset_rows(problem, found)
     stages, count = words.stage_rows(found, cube_seconds), len(found.subset)
     constant: list[str | Table] = [
-        "Errors that all rows of a table have in common: table less truth; positions along the axes of the "
-        "tables, angles about body axes.",
+        "Errors that all rows of a table have in common: table less truth; positions to the east, the north "
+        "and up in the middle of the flight, angles about body axes.",
         Table(words.BIAS_HEADS, biases, [0, 4]),
     ]
     tables: list[str | Table] = [
@@ -156,8 +157,10 @@ def _cube_words(problem: SequenceProblem, cube: CubeView | None) -> list[str]:
     return [*sequence_cube.cube_sentences(cube), relative]
 
 
-def about(problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceView) -> str:
-    """One line under the title."""
+def about(
+    problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceView, earlier: float = 0.0
+) -> str:
+    """One line under the title; `earlier`: s of processor time in starts that were stopped."""
     lines, columns = problem.detector.shape
     parts = [
         f"Poses of {len(problem):,} frames of {lines} × {columns} px by Sightline {summary['version']}",
@@ -170,7 +173,8 @@ def about(problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceVi
             f"{'E' if east >= 0.0 else 'W'}"
         )
     if summary.get("wall_seconds"):
-        parts.append(f"made in {summary['wall_seconds']:.0f} s")
+        before = f", and {earlier:.0f} s of processor time in starts before this" if earlier else ""
+        parts.append(f"made in {summary['wall_seconds']:.0f} s{before}")
     if summary.get("peak_memory_bytes"):
         parts.append(f"{summary['peak_memory_bytes'] / 2**30:.2f} GiB of memory at most")
     return "; ".join(parts)

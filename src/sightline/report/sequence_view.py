@@ -14,6 +14,7 @@ from sightline.applications.sequence_poses import ESTIMATED, INTERPOLATED, SOLVE
 from sightline.geometry.checks import read_only
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.photogrammetry.flight.path import path_turns, stretches
+from sightline.photogrammetry.flight.poses import FramePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images
 
@@ -66,6 +67,8 @@ class SequenceView:
     in_subset : (M,) bool
     stretch : (M,) int
         Of the flight, between pauses.
+    step_sigma : (M - 1, 2)
+        m and deg, 1-sigma per axis of each frame against the one before it; NaN where it is not known.
     """
 
     t: Array
@@ -87,6 +90,7 @@ class SequenceView:
     kind: NDArray[np.intp]
     in_subset: Flags
     stretch: NDArray[np.intp]
+    step_sigma: Array
 
     @property
     def sigma(self) -> Array:
@@ -141,7 +145,20 @@ def sequence_view(problem: SequenceProblem, found: SequencePoses) -> SequenceVie
         kind=np.array([KINDS.index(source) for source in found.source], dtype=np.intp),
         in_subset=np.isin(np.arange(len(problem)), found.subset.frames),
         stretch=stretch,
+        step_sigma=_step_sigma(poses, stretch),
     )
+
+
+def _step_sigma(poses: FramePoses, stretch: NDArray[np.intp]) -> Array:
+    """(M - 1, 2): of positions (m) and of angles (deg), rms over the axes; NaN between stretches."""
+    both = poses.next_covariance
+    with np.errstate(invalid="ignore"):
+        step = poses.covariance[1:] + poses.covariance[:-1] - both - np.swapaxes(both, 1, 2)
+        variance = np.einsum("kii->ki", step)
+        parts = [np.sqrt(variance[:, k : k + 3].mean(axis=1)) for k in (0, 3)]
+    sigma = np.column_stack([parts[0], np.degrees(parts[1])])
+    sigma[np.diff(stretch) != 0] = np.nan
+    return np.asarray(sigma)
 
 
 def control_places(problem: SequenceProblem, found: SequencePoses) -> Array:

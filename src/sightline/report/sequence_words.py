@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from sightline.applications.sequence_poses import SequencePoses
+from sightline.photogrammetry.block.point_priors import level_axes
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.rig import OFFSETS
 from sightline.photogrammetry.flight.table_check import table_fits
@@ -107,9 +108,19 @@ def _how_well(view: SequenceView) -> str:
             "of tilt that make up for each other left out."
         )
     return text + (
-        " These are sigmas of absolute poses: what all frames have wrong together (the datum) is in them, "
-        "and neighbours are known to each other far better. How much better no sigma says; where a truth is "
-        'at hand "sightline score --table" does, in its rows "turned and moved".'
+        " These are sigmas of absolute poses: what all frames have wrong together (the datum) is in them."
+        + _steps(view)
+    )
+
+
+def _steps(view: SequenceView) -> str:
+    """How well a frame is known against the one before it."""
+    moved, turned = (view.typical(view.step_sigma[:, k]) for k in range(2))
+    if not np.isfinite([moved, turned]).all():
+        return ""
+    return (
+        f" Against the frame before it each is known to {digits(moved, 2)} m and {digits(turned, 2)} deg (1 "
+        "sigma per axis, median; covariance.npz)."
     )
 
 
@@ -161,15 +172,22 @@ def table_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]
 def bias_table(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
     """Per constant error sought: name, value, sigma, sigma beforehand, verdict."""
     rows = []
-    sigmas = np.sqrt(np.diag(found.poses.bias_covariance))
-    axes = ("x (east)", "y (north)", "z (up)") if problem.radii is None else ("x", "y", "z")
+    level = np.eye(6)
+    if problem.radii is not None:
+        # axes of computation are those of the Earth: here east, north, up in the middle of the flight
+        middle = found.poses.position.mean(axis=0, keepdims=True)
+        up, east, north = level_axes(middle, problem.radii)
+        level[:3, :3] = np.concatenate([east, north, up])
+    bias = level @ found.poses.bias
+    sigmas = np.sqrt(np.diag(level @ found.poses.bias_covariance @ level.T))
+    axes = ("east", "north", "up")
     names = [f"position {axis}" for axis in axes] + [f"angle {axis}" for axis in PARAMETERS[3:]]
     for k, name in enumerate(names):
         before = problem.known.position_bias if k < 3 else problem.known.attitude_bias
         if not before > 0.0:
             continue
         factor, unit = (1.0, "m") if k < 3 else (float(np.degrees(1.0)), "deg")
-        value, sigma = factor * found.poses.bias[k], factor * sigmas[k]
+        value, sigma = factor * bias[k], factor * sigmas[k]
         share = sigma / (factor * before)
         verdict = next(words for least, words in BIAS_VERDICTS if share >= least)
         rows.append(
@@ -248,6 +266,24 @@ def focal_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]
             f"{with_sigma(px, sigma).lstrip(chr(43))} px",
             f"{digits(sigma, 2)} px",
             prior,
+            verdict,
+        ]
+    ]
+
+
+def readout_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
+    """As of `bias_table`: the readout time where it was sought, one row or none."""
+    readout = found.poses.readout
+    if readout is None:
+        return []
+    found_ms, sigma, before = (1e3 * s for s in (readout.seconds, readout.sigma, readout.prior))
+    verdict = next(words for least, words in BIAS_VERDICTS if sigma / before >= least)
+    return [
+        [
+            f"readout time (given: {1e3 * problem.readout_time:g} ms)",
+            f"{with_sigma(found_ms, sigma).lstrip(chr(43))} ms",
+            f"{digits(sigma, 2)} ms",
+            f"{digits(before, 2)} ms",
             verdict,
         ]
     ]

@@ -92,7 +92,7 @@ def test_velocities_beside_the_positions_are_told_and_contradict_a_wander_angle(
 
 def test_a_damaged_file_is_refused_by_its_record(tmp_path):
     path, rows = tmp_path / "sbet.out", records()
-    with pytest.raises(FormatError, match=r"\[acquisition\] has no epoch"):
+    with pytest.raises(FormatError, match=r"there is no epoch"):
         read_sbet(write(path, rows), None)
     degrees = [(row[0], 47.0, *row[2:]) for row in rows]
     with pytest.raises(FormatError, match="record 1: latitude is 47;"):

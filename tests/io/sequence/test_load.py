@@ -72,6 +72,49 @@ def test_times_may_be_utc_instants(tmp_path, epoch):
     assert np.isfinite(problem.known.position).all() and np.isfinite(problem.known.attitude).all()
 
 
+def sbet_of(path, step=0.005):
+    """A flight along north over 47 N, 11 E, yawing by .1 rad/s; 200 records a second from t = -1 on."""
+    start = 4 * 86400.0 + 18.0  # of the GPS week, leap seconds since 1980 among them
+    rows = []
+    for t in np.arange(-1.0, 5.0, step):
+        lat = np.radians(47.0) + 60.0 * t / 6.37e6
+        rows.append([start + t, lat, np.radians(11.0), 100.0, 60.0, 0, 0, 0.01, 0.02, 0.1 * t, *[0.0] * 7])
+    path.write_bytes(np.array(rows, dtype="<f8").tobytes())
+
+
+def test_event_marks_and_a_trajectory_of_many_records_give_times_and_poses(tmp_path):
+    made = flight()
+    made.toml = re.sub(r"(?m)^(positions|attitudes) = .*$", "", made.toml).replace(
+        '[world]\nframe = "local"', '[world]\nframe = "earth-fixed"'
+    )
+    made.toml = 'events = "marks.csv"\npositions = "sbet.out"\nattitudes = "sbet.out"\n' + made.toml
+    path = made.write(tmp_path)
+    sbet_of(tmp_path / "sbet.out")
+    marks = [0.013 + 0.5 * k for k in range(6)]
+    table = tmp_path / "marks.csv"
+    table.write_text("t\n" + "".join(f"{t}\n" for t in marks))
+    problem = load_sequence(path)
+    np.testing.assert_allclose(problem.t, marks, atol=1e-12)
+    lon, lat, height = to_geodetic(problem.images.position, WGS84).T
+    # what is linear between records 5 ms apart: 4e-7 m of the Earth's curvature
+    np.testing.assert_allclose(lat, np.radians(47.0) + 60.0 * np.array(marks) / 6.37e6, atol=1e-12)
+    np.testing.assert_allclose(height, 100.0, atol=1e-5)
+    level = local_axes(lon, lat)
+    forward = (level.inv() * problem.images.world_from_body).apply([1.0, 0, 0])
+    np.testing.assert_allclose(np.arctan2(forward[:, 0], forward[:, 1]), 0.1 * np.array(marks), atol=1e-9)
+    assert any("SBET" in words for words in problem.warnings)
+    for rows, words in (
+        ("t\n" + "1.0\n2.0\n", "2 event marks for 6 frames"),
+        ("t\n" + "".join(f"{9.0 + t}\n" for t in marks), "exposed outside of it"),
+        ("frame,t\n0,0.1\n1,0.2\n", "has no row, and 4 frames in all"),
+    ):
+        table.write_text(rows)
+        with pytest.raises(FormatError, match=words):
+            load_sequence(path)
+    table.write_text("frame,t\n" + "".join(f"{5 - k},{marks[5 - k]}\n" for k in range(6)))
+    np.testing.assert_allclose(load_sequence(path).t, marks, atol=1e-12)
+
+
 def test_frames_are_read_when_they_are_asked_for(tmp_path):
     problem = load_sequence(flight().write(tmp_path))
     expected = np.random.default_rng(3).integers(0, 4000, SHAPE).astype(np.float32)

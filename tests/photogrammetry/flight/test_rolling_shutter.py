@@ -7,8 +7,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sightline.applications.sequence_poses import poses_of_windows
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.geometry.surface import Plane
+from sightline.imaging.source import ArrayImage
+from sightline.matching.follow import Followed
+from sightline.photogrammetry.flight.poses import RoughPoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines, line_poses
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames
 
@@ -143,3 +149,50 @@ def test_where_the_flight_lies_changes_nothing():
     here = as_of_first_lines(sightings, true, point, delay)
     there = as_of_first_lines(sightings, elsewhere, size * turn.apply(point) + move, delay)
     np.testing.assert_allclose(here.tangents, there.tangents, atol=1e-9)
+
+
+def flown() -> tuple[SequenceProblem, Followed]:
+    """Frames, points of level ground sighted to 0.05 px, tables to 0.5 m and half a degree."""
+    count, rng = 25, np.random.default_rng(0)
+    true = images(count)
+    ground = np.column_stack([rng.uniform(-40, 40, 90), rng.uniform(-25, 37, 90), rng.uniform(-2, 2, 90)])
+    image, point = (each.ravel() for each in np.meshgrid(np.arange(count), np.arange(90), indexing="ij"))
+    # a line is found step by step: only of points that may be seen
+    near = np.abs(ground[point, 1] - true.position[image, 1]) < 35.0
+    image, point = image[near], point[near]
+    pixels = seen(true, image, ground[point], READOUT)
+    inside = ((pixels > 0.0) & (pixels < np.array(SHAPE) - 1.0)).all(axis=1)
+    image, point = image[inside], point[inside]
+    measured = pixels[inside] + 0.05 * rng.standard_normal((len(image), 2))
+    wrong = Rotation.from_rotvec(np.radians(0.5) * rng.standard_normal((count, 3)))
+    given = replace(
+        true,
+        position=true.position + 0.5 * rng.standard_normal((count, 3)),
+        world_from_body=true.world_from_body * wrong,
+    )
+    detector = AreaDetector("frame", SHAPE, FOCAL, (MIDDLE[0], MIDDLE[1]))
+    known = RoughPoses(np.full((count, 3), 0.5), np.full((count, 3), np.radians(0.5)))
+    problem = SequenceProblem(
+        tuple(map(str, range(count))), true.t, (ArrayImage(np.ones((4, 4))),) * count, detector, NADIR_MOUNT,
+        given, known, Plane(0.0), 1.2, 0.0, 0.8, ("",) * count, readout_sigma=0.03,
+    )  # fmt: skip
+    ones = np.ones(count)
+    followed = Followed(
+        image, point, measured, np.full(len(image), 0.05), np.arange(count) - 1, np.zeros((count, 4)),
+        np.bincount(image, minlength=count), ones, ones, ("",) * count,
+    )  # fmt: skip
+    return problem, followed
+
+
+def test_a_readout_time_that_is_not_given_is_found():
+    problem, followed = flown()
+    found, _ = poses_of_windows(problem, followed)
+    assert found.readout is not None and found.readout.sigma < 0.2 * READOUT
+    # four sigma: one in 16,000
+    assert abs(found.readout.seconds - READOUT) < 4.0 * found.readout.sigma
+    assert found.readout_time(0.0) == found.readout.seconds
+    kept, _ = poses_of_windows(replace(problem, readout_time=READOUT, readout_sigma=0.0), followed)
+    assert kept.readout is None and kept.readout_time(READOUT) == READOUT
+    # what is not known of it is in the sigmas
+    more, less = (np.einsum("kii->k", poses.covariance) for poses in (found, kept))
+    assert (more > 0.99 * less).all() and more.sum() > less.sum()

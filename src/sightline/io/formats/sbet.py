@@ -127,7 +127,7 @@ def read_sbet(path: Path, epoch: str | None, span: tuple[float, float] | None = 
     """
     if epoch is None:
         raise FormatError(
-            f"{path}: its times are seconds of a GPS week, and [acquisition] has no epoch; add "
+            f"{path}: its times are seconds of a GPS week, and there is no epoch; add "
             'epoch = "..." (UTC of t = 0)'
         )
     content = read_bytes(path, "a SBET", most=LARGE)

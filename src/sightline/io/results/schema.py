@@ -601,6 +601,15 @@ class CubeEntry(SummaryPart):
     warnings: list[str] = _is("What to know before trusting the maps")
 
 
+class FoundReadout(SummaryPart):
+    """Time from the first line to the last of a rolling shutter, found with the poses."""
+
+    seconds: float = _is("s")
+    sigma: float = _is("s, 1-sigma")
+    given: float = _is("s")
+    given_sigma: float = _is("s, 1-sigma of what was given")
+
+
 class SequenceSummary(RunSummary):
     """Of ``georeference``."""
 
@@ -615,6 +624,7 @@ class SequenceSummary(RunSummary):
     datum: dict[str, DatumPart | None] = _is("m and rad: constant errors of the tables; null: none sought")
     tables: dict[str, TablePart] = _is("positions, attitudes: whether they go with the poses found")
     focal_length: FoundFocal | None = _is("Where it was found with the poses")
+    readout_time: FoundReadout | None = _is("Where it was found with the poses")
     scale_sigma: Number = _is("Relative 1-sigma of the size of the flight as a whole")
     rig: list[RigEntry] | None = _may("Cameras of a rig; null, or left out, of one camera")
     bow: list[dict[str, float]] = _is("rad: bends that were left free, by axis")

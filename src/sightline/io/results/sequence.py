@@ -154,6 +154,7 @@ def summarize_sequence(
         "datum": _datum(sequence, found),
         "tables": _tables(sequence, found),
         "focal_length": _focal_length(sequence, found),
+        "readout_time": _readout_time(sequence, found),
         "scale_sigma": poses.scale_sigma,
         "rig": rig_summary(problem, found),
         "bow": [dict(zip(DATUM[3:], map(float, bow), strict=True)) for bow in poses.bow],
@@ -207,6 +208,19 @@ def _focal_length(sequence: FrameSequence, found: SequencePoses) -> dict[str, fl
         "sigma_px": given.focal_length_px * focal.sigma,
         "told_px": given.focal_length_px,
         "told_sigma_px": given.focal_length_px * focal.prior if math.isfinite(focal.prior) else None,
+    }
+
+
+def _readout_time(sequence: FrameSequence, found: SequencePoses) -> dict[str, float] | None:
+    """s; what was found of the readout time, and what was given; None where it was kept."""
+    readout, given = found.poses.readout, sequence.problem
+    if readout is None:
+        return None
+    return {
+        "seconds": readout.seconds,
+        "sigma": readout.sigma,
+        "given": given.readout_time,
+        "given_sigma": given.readout_sigma,
     }
 
 

@@ -221,7 +221,7 @@ def reconstruction_of(
         rms,
         tracks.image[good],
         number,
-        tracks.pixels[good] if problem.readout_time == 0.0 else _of_first_lines(problem, poses, tracks, good),
+        _of_first_lines(problem, poses, tracks, good),
     )
 
 
@@ -281,6 +281,8 @@ def _of_first_lines(
 
     These formats know one pose a frame: raw pixels beside the poses of first lines would contradict them.
     """
+    if poses.readout_time(problem.readout_time) == 0.0:
+        return tracks.pixels[rows]
     image = tracks.image[rows]
     seen = poses.points[tracks.point[rows]] - poses.position[image]
     rays = (poses.world_from_body[image] * problem.mount).inv().apply(seen)

@@ -1,4 +1,4 @@
-"""Rough attitudes of frames: a table of quaternions or angles, gimbals of photographs.
+"""Rough attitudes of frames: a table of quaternions or angles, a SBET, gimbals of photographs.
 
 Not here: rows at the times of frames (``matched_rows.py``), what angles mean (``io/formats/angle_tables.py``,
 ``io/formats/xmp.py``).
@@ -25,7 +25,9 @@ from sightline.io.formats.angle_tables import (
     kind_of_angles,
     origin_of_angles,
 )
+from sightline.io.formats.sbet import is_sbet
 from sightline.io.formats.tables import check_quaternions, header_of, read_columns
+from sightline.io.sequence.flown import flown_at_frames
 from sightline.io.sequence.frames import FrameList
 from sightline.io.sequence.matched_rows import GivenRows, in_time, matched, radii_of, sigmas_of
 from sightline.io.sequence.models import GivenPoses
@@ -97,7 +99,7 @@ def given_attitudes(
 
 def _gimbal_words(path: Path) -> str:
     """A doubt, to end a message, where pitch of a table of angles is that of a gimbal."""
-    if kind_of_angles(path) != YPR:
+    if is_sbet(path) or kind_of_angles(path) != YPR:
         return ""
     pitch = float(np.median(np.asarray(read_columns(path, ("pitch",))["pitch"], dtype=np.float64)))
     if pitch > _GIMBAL_PITCH:
@@ -121,6 +123,13 @@ def _table_attitudes(
     position: Array,
     warnings: list[str],
 ) -> GivenRows | None:
+    if is_sbet(path):
+        _, flown = flown_at_frames(file, path, frames, warnings)
+        rows = np.arange(len(frames.t))
+        _say_assumed(file, warnings, len(rows))
+        sigma = np.full((len(rows), 3), file.attitude_sigma)
+        kept = np.ones(len(rows), dtype=np.bool_)
+        return in_time(rows, frames.t, flown.as_quat(), sigma, kept, common=True)
     header = header_of(path)
     kind = kind_of_angles(path)
     with_sigma = [name for name in ATTITUDE_SIGMAS if name in header]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from sightline.errors import FormatError
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.formats.exif import Exif, NoExifTime, read_exif
 from sightline.io.formats.instants import seconds_from_epoch
-from sightline.io.formats.tables import check_images, check_times
+from sightline.io.formats.tables import check_images, check_times, header_of
 from sightline.io.formats.xmp import Xmp, read_xmp
 from sightline.io.sequence.frame_files import Probe, probe, reason_of
 from sightline.io.sequence.schema import SequenceFile
@@ -29,6 +29,8 @@ FRAMES = ("frame", "t", "image")
 #: What a folder of frames may hold; further files in it are not looked at.
 SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2")
 _NAMED = "`frames` names a folder of photographs, or a table frame,t,image"
+#: s by which photographs may lie beside their event marks: EXIF has whole seconds, clocks drift.
+_CLOCK = 2.0
 #: s, and times the median step between frames, beyond which a pause may be one between two flights.
 PAUSE, PAUSE_STEPS = 60.0, 50.0
 
@@ -74,6 +76,59 @@ def read_frames(file: SequenceFile, files: InputFolder) -> FrameList:
         else _of_table(files(file.frames, advice=_NAMED), file, files)
     )
     return frames if len(frames.t) < 3 else _with_pauses(frames)
+
+
+def with_events(frames: FrameList, file: SequenceFile, files: InputFolder) -> FrameList:
+    """The frames at the times of their event marks; as they are where there are none.
+
+    Raises
+    ------
+    FormatError
+        If marks and frames are not as many, or the times of photographs do not go with them.
+    """
+    if file.events is None:
+        return frames
+    path = files(file.events)
+    named = ("frame",) if "frame" in header_of(path) else ()
+    table = read_timed(path, (*named, "t"), frames.epoch, text=named)
+    t = np.asarray(table["t"], dtype=np.float64)
+    if named:
+        marks = tuple(str(word) for word in table["frame"])
+        refuse_repeated(path, marks)
+        row = {name: k for k, name in enumerate(marks)}
+        at = [
+            row.get(name, row.get(image.name, -1))
+            for name, image in zip(frames.names, frames.files, strict=True)
+        ]
+        if -1 in at:
+            raise FormatError(
+                f"{path}: frame {frames.names[at.index(-1)]!r} has no row, and {at.count(-1)} frames in all; "
+                "every frame has its mark: add them, or leave the frames out"
+            )
+        t = t[at]
+    elif len(t) != len(frames.t):
+        raise FormatError(
+            f"{path}: holds {len(t)} event marks for {len(frames.t)} frames; one for each in their order is "
+            "expected: remove marks without a photograph, or give a column `frame` with the name of each"
+        )
+    check_times(path, t)
+    _check_marks(path, frames, t)
+    return replace(frames, t=t)
+
+
+def _check_marks(path: Path, frames: FrameList, t: Array) -> None:
+    """FormatError where the photographs' own times do not go with the marks but for a constant."""
+    if not frames.exif or len(t) < 2:
+        return
+    late = frames.t - t
+    late = np.abs(late - np.median(late))
+    k = int(late.argmax())
+    if late[k] > _CLOCK:
+        raise FormatError(
+            f"{path}: the mark of {frames.names[k]} is {late[k]:.3g} s beside the time in its EXIF, the "
+            f"usual difference of the clocks taken off; {_CLOCK:g} s are allowed, as EXIF counts seconds: do "
+            "marks and photographs go one by one? Give a column `frame` with the name of each"
+        )
 
 
 def _of_table(path: Path, file: SequenceFile, files: InputFolder) -> FrameList:

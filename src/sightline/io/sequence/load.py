@@ -31,7 +31,14 @@ from sightline.io.formats.envi import read_envi_wavelengths
 from sightline.io.formats.gps_places import exchanged
 from sightline.io.sequence.control import control_of, placed_by_control
 from sightline.io.sequence.frame_files import FrameFile, Probe
-from sightline.io.sequence.frames import FrameList, excluded, probe_frames, read_frames, shape_of
+from sightline.io.sequence.frames import (
+    FrameList,
+    excluded,
+    probe_frames,
+    read_frames,
+    shape_of,
+    with_events,
+)
 from sightline.io.sequence.matched_rows import is_local, radii_of
 from sightline.io.sequence.models import model_attitudes
 from sightline.io.sequence.poses import check_places, starting_poses
@@ -152,7 +159,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         refuse_asynchronous(rig)
         refuse_other_shapes(path, rig)
         camera = rig.sections[0].as_camera()
-    frames = read_frames(file, files) if rig is None else rig.frames_of(0)
+    frames = with_events(read_frames(file, files) if rig is None else rig.frames_of(0), file, files)
     mount = camera.mounting
     start = starting_poses(file, files, frames, mount)
     probes = probe_frames(frames)
@@ -188,6 +195,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         surface=surface,
         height_sigma=file.surface.height_sigma,
         readout_time=camera.readout_time,
+        readout_sigma=camera.readout_time_sigma,
         overlap=file.subset.overlap,
         excluded=reasons,
         mosaic_nm=None if camera.mosaic_nm is None else read_only(np.array(camera.mosaic_nm)),

@@ -1,4 +1,4 @@
-"""Rough positions of frames: a table, ``geo.txt``, GPS of photographs.
+"""Rough positions of frames: a table, a SBET, ``geo.txt``, GPS of photographs.
 
 Not here: rows at the times of frames (``matched_rows.py``), longitudes that cannot be
 (``io/formats/gps_places.py``).
@@ -18,8 +18,10 @@ from sightline.io.acquisition.platform import points_to_world
 from sightline.io.formats.exif import Exif
 from sightline.io.formats.gps_places import places
 from sightline.io.formats.odm import read_geo
+from sightline.io.formats.sbet import is_sbet
 from sightline.io.formats.tables import header_of
 from sightline.io.formats.xmp import Xmp
+from sightline.io.sequence.flown import flown_at_frames
 from sightline.io.sequence.frames import PAUSE, FrameList
 from sightline.io.sequence.matched_rows import GivenRows, in_time, is_local, matched, radii_of, sigmas_of
 from sightline.io.sequence.models import GivenPoses
@@ -55,6 +57,13 @@ def given_positions(
 def _table_positions(
     file: SequenceFile, path: Path, frames: FrameList, warnings: list[str]
 ) -> GivenRows | None:
+    if is_sbet(path):
+        position, _ = flown_at_frames(file, path, frames, warnings)
+        rows = np.arange(len(position))
+        _say_assumed(file, warnings, rows)
+        sigma = np.full((len(position), 3), file.position_sigma)
+        kept = np.ones(len(rows), dtype=np.bool_)
+        return in_time(rows, frames.t, position, sigma, kept, _level_axes(file, position), common=True)
     header = header_of(path)
     with_sigma = [name for name in POSITION_SIGMAS if name in header]
     if with_sigma and len(with_sigma) < 3:

@@ -43,6 +43,7 @@ from sightline.io.quantities import (
     Name,
     PixelSigmaAbove0,
     ReadoutForward,
+    TimeSigma,
     Title,
     WavelengthReach,
     Within,
@@ -134,6 +135,9 @@ class SequenceCamera(FrameCameraSection):
     )
     readout_time: ReadoutForward = Field(
         default=0.0, description="s from the exposure of line 0 to that of the last line (rolling shutter)"
+    )
+    readout_time_sigma: TimeSigma = Field(
+        default=0.0, description="s, 1-sigma of readout_time, then found with the poses; 0: it is kept"
     )
     lever_arm: tuple[_Lever, _Lever, _Lever] = Field(
         default=(0.0, 0.0, 0.0),
@@ -324,11 +328,18 @@ class SequenceFile(InputFile):
     frames: FileName = Field(
         description="Folder of images (times by EXIF), or CSV frame,t,image; of a rig capture,camera,t,image"
     )
+    events: FileName | None = Field(
+        default=None,
+        description="CSV t, or frame,t: when frames were exposed, by the marks of a receiver; in their order "
+        "without names",
+    )
     positions: FileName | None = Field(
-        default=None, description="CSV frame,t,x,y,z,sigma_x,sigma_y,sigma_z, axes of [world]"
+        default=None,
+        description="CSV frame,t,x,y,z,sigma_x,sigma_y,sigma_z, axes of [world]; or a SBET",
     )
     attitudes: FileName | None = Field(
-        default=None, description="CSV frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw: world_from_body"
+        default=None,
+        description="CSV frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw: world_from_body; or a SBET",
     )
     geo: FileName | None = Field(default=None, description="geo.txt of OpenDroneMap in place of positions")
     poses: FileName | None = Field(

@@ -50,6 +50,7 @@ from sightline.photogrammetry.flight.path import (
     stretches,
     trend_forms,
 )
+from sightline.photogrammetry.flight.readout import ReadoutChange, ReadoutTime, WithReadout, readout_step
 from sightline.photogrammetry.flight.solving_order import solving_order
 from sightline.photogrammetry.sightings import Images, Sightings, as_index
 
@@ -65,6 +66,7 @@ MOST_PAIRED = 100
 _PAIRED_AT_ONCE = 50
 #: Position (world axes), then angles (body axes), in departures.
 POSE_ORDER = [3, 4, 5, 0, 1, 2]
+_Covariances = PointsFirst | LinkedFrames | WithReadout
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +177,8 @@ class FramePoses(ReadOnlyArrays):
         Of all poses with each other; None beyond `MOST_PAIRED` frames.
     focal : FocalStretch or None
         None where the focal length was kept. What is not known of it is in the covariances.
+    readout : ReadoutTime or None
+        None where the readout time was kept. What is not known of it is in the covariances.
     cost : float
         What is minimised: chi-square of sightings that count, of tables and of all else that is known, and
         for each gross error what it exceeds at least; inf where nobody asked.
@@ -197,6 +201,11 @@ class FramePoses(ReadOnlyArrays):
     pair_covariance: Array | None
     focal: FocalStretch | None = None
     cost: float = np.inf
+    readout: ReadoutTime | None = None
+
+    def readout_time(self, given: float) -> float:
+        """s; that of the frames found, from the one given."""
+        return given if self.readout is None else self.readout.seconds
 
     def detector(self, given: AreaDetector) -> AreaDetector:
         """The camera of the frames with the focal length found, from the one given."""
@@ -304,6 +313,7 @@ def adjust_frames(
     start: FramePoses | Images | None = None,
     roughness: Array | None = None,
     robust: bool = True,
+    readout: ReadoutChange | None = None,
 ) -> FramePoses:
     """Poses of all frames, and the points, in one banded adjustment.
 
@@ -325,6 +335,8 @@ def adjust_frames(
         Of the path; measured on the solution otherwise.
     robust : bool
         Find gross errors and leave them out.
+    readout : ReadoutChange, optional
+        How sightings follow the readout time, which is then found too.
 
     Returns
     -------
@@ -374,7 +386,7 @@ def adjust_frames(
         except EstimationError as error:
             raise (unobservable_focal_length(known.focal_length) if known is not first else error) from None
         first = known
-    return as_frame_poses(moved_images(images, moved), block, fit, rough, known)[0]
+    return as_frame_poses(moved_images(images, moved), block, fit, rough, known, readout)[0]
 
 
 def _rounds(frames: int, known: RoughPoses, solved: FramePoses | None) -> int:
@@ -419,7 +431,12 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
 
 
 def as_frame_poses(
-    images: Images, block: BlockSums, fit: Fit, roughness: Array, known: RoughPoses
+    images: Images,
+    block: BlockSums,
+    fit: Fit,
+    roughness: Array,
+    known: RoughPoses,
+    change: ReadoutChange | None = None,
 ) -> tuple[FramePoses, Array]:
     """A solution as poses with covariance, and the covariance of the globals.
 
@@ -431,17 +448,30 @@ def as_frame_poses(
     fit : Fit
     roughness : (6,)
     known : RoughPoses
+    change : ReadoutChange, optional
+        Where the readout time is an unknown too.
     """
     unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.equations.reduced
     assert isinstance(reduced, PointsFirst | LinkedFrames)  # frames are tied to their neighbours
     count, common = len(images), fit.equations.known.covariance()
-    x = unknowns.departures(state.own, state.common)[:count]
-    covariance = reduced.departure_covariance(common)[:count][:, POSE_ORDER][:, :, POSE_ORDER]
-    final = images.position + x[:, 3:6]
-    bow, scale = _bow_and_scale(images.t, final, len(unknowns.shot), unknowns.width, reduced, common)
-    following, pairs = _between(count, len(unknowns.shot), unknowns.width, reduced, common)
-    bias, bias_covariance, focal = common_errors(state.common, common, bias_rows(known), known.focal_length)
+    x = unknowns.departures(state.own, state.common)
+    points, of_globals, globals_covariance = state.points, state.common, common
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
+    step = None if change is None else readout_step(block, fit, used.astype(np.float64), change)
+    covariances: _Covariances = reduced
+    if step is not None:
+        x, points = x + step.step * step.departures, points + step.step * step.points
+        of_globals = of_globals + step.step * step.common
+        globals_covariance = common + step.found.sigma**2 * np.outer(step.common, step.common)
+        covariances = WithReadout(reduced, step)
+    x = x[:count]
+    covariance = covariances.departure_covariance(common)[:count][:, POSE_ORDER][:, :, POSE_ORDER]
+    final = images.position + x[:, 3:6]
+    bow, scale = _bow_and_scale(images.t, final, len(unknowns.shot), unknowns.width, covariances, common)
+    following, pairs = _between(count, len(unknowns.shot), unknowns.width, covariances, common)
+    bias, bias_covariance, focal = common_errors(
+        of_globals, globals_covariance, bias_rows(known), known.focal_length
+    )
     *_, r, cost = block.gradient(state, used.astype(np.float64))
     kept = np.bincount(sightings.point, used, minlength=sightings.points) > 0
     poses = FramePoses(
@@ -450,7 +480,7 @@ def as_frame_poses(
         frozen(covariance),
         bias,
         bias_covariance,
-        frozen(np.where(kept[:, None], state.points + block.origin, np.nan)),
+        frozen(np.where(kept[:, None], points + block.origin, np.nan)),
         frozen(r * sightings.sigma_px[:, None]),
         ~used,
         np.bincount(sightings.image % count, used, minlength=count).astype(np.intp),
@@ -462,23 +492,24 @@ def as_frame_poses(
         pairs,
         focal,
         float(cost + gross_error(len(sightings)) * np.count_nonzero(~used)),
+        None if step is None else step.found,
     )
     return poses, common
 
 
 def _bow_and_scale(
-    t: Array, position: Array, images: int, width: int, reduced: PointsFirst | LinkedFrames, common: Array
+    t: Array, position: Array, images: int, width: int, covariances: _Covariances, common: Array
 ) -> tuple[Array, float]:
     """Sigma (S, 3) of the trend of the angles over each stretch, rms over it, and that of the scale."""
     own = np.concatenate([trend_forms(t, width), scale_form(position, width)], axis=2)
     forms = np.concatenate([own, np.zeros((images - len(t), width, own.shape[2]))])
-    taken = reduced.form_covariance(common, forms)
+    taken = covariances.form_covariance(common, forms)
     sigma = np.sqrt(np.einsum("mak,mak->k", forms, taken))
     return frozen(sigma[:-1].reshape(-1, 3)), float(sigma[-1])
 
 
 def _between(
-    count: int, images: int, width: int, reduced: PointsFirst | LinkedFrames, common: Array
+    count: int, images: int, width: int, covariances: _Covariances, common: Array
 ) -> tuple[Array, Array | None]:
     """Covariance of each of `count` frames with the next (count - 1, 6, 6), and of all of them, if few."""
     following = np.zeros((count - 1, 6, 6))
@@ -488,7 +519,7 @@ def _between(
         forms = np.zeros((images, width, len(frames), 6))
         for axis, place in enumerate(POSE_ORDER):
             forms[frames, place, frames - first, axis] = 1.0
-        found = reduced.form_covariance(common, forms.reshape(images, width, -1))
+        found = covariances.form_covariance(common, forms.reshape(images, width, -1))
         whole = found[:count, POSE_ORDER].reshape(count, 6, len(frames), 6)
         if pairs is not None:
             pairs[:, :, frames] = whole

@@ -49,6 +49,8 @@ class SequenceProblem(ReadOnlyArrays):
         m; what is not known about it, 0: nothing was said.
     readout_time : float
         s from the exposure of line 0 to that of the last line; 0: all at once.
+    readout_sigma : float
+        s, 1-sigma of `readout_time`, which is then found with the poses; 0: it is kept.
     overlap : float
         Wanted along the flight between frames of the subset, share of the frame.
     excluded : tuple of str
@@ -95,6 +97,7 @@ class SequenceProblem(ReadOnlyArrays):
     channel_nm: tuple[float, ...] = ()
     channels: tuple[tuple[ImageSource, ...], ...] = ()
     focal_length_sigma_px: float = 0.0
+    readout_sigma: float = 0.0
     control: ControlPoints | None = None
     control_tracks: Tracks | None = None
     radii: tuple[float, float] | None = None

@@ -198,7 +198,7 @@ def first_camera(found: RigAdjusted, rows: int) -> FramePoses:
 
 def check_rig(problem: SequenceProblem) -> None:
     """InputError for what a rig cannot have."""
-    if problem.readout_time != 0.0:
+    if problem.readout_time != 0.0 or problem.readout_sigma > 0.0:
         raise InputError(
             "the cameras of a rig are taken to expose all lines at once: readout_time is given for it; leave "
             "it out, or georeference each camera by itself"

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.errors import EstimationError
-from sightline.geometry.checks import Array, read_only
+from sightline.geometry.checks import Array, frozen, read_only
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.flight.blocks import PartSolution
 from sightline.photogrammetry.flight.cross_links import CrossPlan
 from sightline.photogrammetry.flight.poses import FramePoses, adjust_frames
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
+from sightline.photogrammetry.flight.readout import ReadoutChange
 from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines, line_delays
 from sightline.photogrammetry.flight.start import approached
 from sightline.photogrammetry.flight.track_noise import with_drift
@@ -39,6 +40,8 @@ _NOISE_ROUNDS = 1
 _OTHER = 1.0
 #: Rounds in which the path within frames is taken from the solution before.
 _SHUTTER_ROUNDS = 2
+#: Rounds in which the readout time is sought too; s, of its finite difference.
+_READOUT_ROUNDS, _READOUT_STEP = 4, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +96,8 @@ class SequenceSolver:
 
     def rounds(self) -> int:
         """How many times a part is solved."""
+        if self.problem.readout_sigma > 0.0:
+            return 1 + _READOUT_ROUNDS
         return 1 + (_SHUTTER_ROUNDS if self.problem.readout_time != 0.0 else _NOISE_ROUNDS)
 
     def part(
@@ -112,7 +117,7 @@ class SequenceSolver:
             poses = own.solve(tracks, poses)
         if progress is not None:
             progress(self.rounds())
-        sightings, priors, _ = own.equations(tracks, poses)
+        sightings, priors, *_ = own.equations(tracks, poses)
         return PartSolution(tracks, sightings, priors, poses)
 
     def approached(self) -> Adjusted:
@@ -155,22 +160,23 @@ class SequenceSolver:
         `keep`: it is a solution of the same sightings, whose roughness and biases hold.
         """
         p = self.problem
-        sightings, priors, points = self.equations(tracks, before)
+        sightings, priors, points, change = self.equations(tracks, before)
         start: FramePoses | Images | None = p.start if before is None else before
         if before is not None and not keep:
             start = estimated_images(p.images, before)
-        return adjust_frames(p.images, sightings, p.known_poses, priors=priors, points=points, start=start)
+        return adjust_frames(
+            p.images, sightings, p.known_poses, priors=priors, points=points, start=start, readout=change
+        )
 
     def equations(
         self, tracks: Tracks, before: FramePoses | None
-    ) -> tuple[Sightings, PointPriors | None, Array]:
-        """Sightings, what is known of points, and where they are (n, 3) m."""
+    ) -> tuple[Sightings, PointPriors | None, Array, ReadoutChange | None]:
+        """Sightings, what is known of points, where they are (n, 3) m, how the first follow the readout."""
         p = self.problem
         detector = p.detector if before is None else before.detector(p.detector)
         priors = self.priors(tracks)
         tracks = self.with_control(tracks)
-        shutter = p.readout_time != 0.0
-        if shutter and before is None:
+        if p.readout_time != 0.0 and before is None:
             still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
             tracks = replace(tracks, pixels=still)
         sightings = sight_frames(p.images, [detector], [p.mount], tracks)
@@ -181,13 +187,30 @@ class SequenceSolver:
             points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[
                 : len(points)
             ]
-            if shutter:
-                delay = line_delays(tracks.pixels[:, 0], p.readout_time, p.detector.shape)
-                estimated, linked = estimated_images(p.images, before), self.followed.linked()
-                sightings = as_of_first_lines(sightings, estimated, points, delay, linked)
-            if before.focal is not None:
-                sightings = stretched_sightings(sightings, before.focal.stretch)
-        return sightings, priors, points
+            sightings, change = self._at_first_lines(tracks, sightings, points, before)
+            return sightings, priors, points, change
+        return sightings, priors, points, None
+
+    def _at_first_lines(
+        self, tracks: Tracks, sightings: Sightings, points: Array, before: FramePoses
+    ) -> tuple[Sightings, ReadoutChange | None]:
+        """Sightings as of first lines, with the focal length found; how they follow the readout time."""
+        p = self.problem
+        estimated, linked = estimated_images(p.images, before), self.followed.linked()
+
+        def made(readout_time: float) -> Sightings:
+            out = sightings
+            if readout_time != 0.0:
+                delay = line_delays(tracks.pixels[:, 0], readout_time, p.detector.shape)
+                out = as_of_first_lines(sightings, estimated, points, delay, linked)
+            return out if before.focal is None else stretched_sightings(out, before.focal.stretch)
+
+        seconds = before.readout_time(p.readout_time)
+        now = made(seconds)
+        if not p.readout_sigma > 0.0:
+            return now, None
+        by_second = (made(seconds + _READOUT_STEP).tangents - now.tangents) / _READOUT_STEP
+        return now, ReadoutChange(frozen(by_second), seconds, p.readout_time, p.readout_sigma)
 
     def cross_plan(self, poses: FramePoses) -> CrossPlan:
         """How far to look for what stretches share."""
