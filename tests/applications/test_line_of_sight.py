@@ -22,7 +22,8 @@ from sightline.imaging.source import ArrayImage
 from sightline.io.formats.tables import read_motion
 from sightline.matching.matches import KEPT, LOW_SCORE, NO_CONVERGENCE, OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.measure.stars import MatchingPlan, StarRecord, match_star
+from sightline.motion.measure.plan import MatchingPlan
+from sightline.motion.measure.stars import StarRecord, match_star
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import JointPrior, less_directions, solve_joint

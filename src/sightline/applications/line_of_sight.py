@@ -26,7 +26,8 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
-from sightline.motion.measure.stars import Filters, MatchingPlan, StarRecord, hub_windows, match_star
+from sightline.motion.measure.plan import MatchingPlan, hub_windows
+from sightline.motion.measure.stars import Filters, StarRecord, match_star
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.alternatives import alternative

@@ -21,7 +21,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.imaging.reduce import averaged
 from sightline.imaging.source import ImageSource
 from sightline.motion.band import Band
-from sightline.motion.measure.stars import parts_of_pixel
+from sightline.motion.measure.laid_strips import parts_of_pixel
 from sightline.motion.measure.windows import exposure_times, field_positions
 from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.relief import RowRelief

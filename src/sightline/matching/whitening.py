@@ -20,6 +20,8 @@ __all__ = ["Whitening", "estimate_whitening", "gradient_filter", "pair_whitening
 _QUADRANT = (7, 7)
 _GRID = 64
 _EDGE = 6
+TILES = 128
+"""Tiles that teach the filters of a pair, where there are many pairs."""
 _HIGHEST = 0.45
 """Cycles per pixel; frequencies that filters let pass."""
 _OVER = 12

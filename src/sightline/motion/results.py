@@ -18,7 +18,8 @@ from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import MASKED, NOT_CHOSEN, OUTSIDE, STATUS_NAMES
 from sightline.motion.estimators.differences import AngleDifferences
-from sightline.motion.measure.stars import END, StarRecord
+from sightline.motion.measure.plan import END
+from sightline.motion.measure.stars import StarRecord
 from sightline.motion.strip.fusion import SensorUse
 from sightline.motion.strip.relief import RowRelief
 from sightline.motion.strip.withheld import WithheldAxis

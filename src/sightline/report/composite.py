@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.io.acquisition.acquired import Acquisition
-from sightline.motion.measure.stars import laid_on
+from sightline.motion.measure.laid_strips import laid_on
 from sightline.motion.results import LineOfSight
 from sightline.report.raster import data_png
 

@@ -11,7 +11,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
 from sightline.motion.measure.common_view import EDGE, LEAST_COLUMNS, common_views, partners_of, usable
-from sightline.motion.measure.stars import LEAST_WIDTH, MatchingPlan, hub_windows
+from sightline.motion.measure.plan import LEAST_WIDTH, MatchingPlan, hub_windows
 from sightline.motion.strip.viewing_axes import viewing_axes
 
 PERIOD, IFOV, LINES = 5e-4, 5e-6, 400

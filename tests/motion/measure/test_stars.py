@@ -16,22 +16,18 @@ from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
+from sightline.matching.whitening import pair_whitening
 from sightline.motion.band import Band
 from sightline.motion.measure.common_view import partners_of
-from sightline.motion.measure.predict import turned
-from sightline.motion.measure.stars import (
-    END,
-    MatchingPlan,
-    StarRecord,
+from sightline.motion.measure.laid_strips import (
     _rough_columns,
-    found_wrong,
     groups_of_pixels,
-    hub_windows,
     laid_on,
     line_places,
-    match_star,
-    pair_whitening,
 )
+from sightline.motion.measure.plan import END, MatchingPlan, hub_windows
+from sightline.motion.measure.predict import turned
+from sightline.motion.measure.stars import StarRecord, found_wrong, match_star
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import band_statics
 from sightline.simulate.scenarios import line_of_sight_case

@@ -9,8 +9,9 @@ import pytest
 
 from sightline.geometry.surface import Plane
 from sightline.motion.measure import stars
+from sightline.motion.measure.plan import MatchingPlan
 from sightline.motion.measure.predict import turned
-from sightline.motion.measure.stars import MatchingPlan, match_star
+from sightline.motion.measure.stars import match_star
 from sightline.motion.measure.uneven_lines import answers, uneven
 from sightline.motion.measure.windows import window_grid
 from sightline.simulate.scenarios import line_of_sight_case

@@ -23,14 +23,12 @@ from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource, in_memory
 from sightline.matching.on_geometry import FoundWindows, PairOnGeometry
-from sightline.matching.whitening import Whitening, pair_whitening
+from sightline.matching.whitening import TILES, Whitening, pair_whitening
 from sightline.motion.measure.windows import WindowGrid, window_grid
 from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 
-#: Tiles that teach the filters of a pair.
-TILES = 128
 #: Fewest windows a pair must share to be matched at all.
 MIN_WINDOWS = 6
 

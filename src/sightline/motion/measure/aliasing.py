@@ -4,7 +4,7 @@ Detail finer than a pixel comes back at other frequencies, and moves there other
 moire does. What it does to a match depends on where the ground's detail meets the pixels of both images: on
 the motion itself, of which it feigns up to a tenth.
 
-Not here: how images are laid on one another (``stars.py``).
+Not here: how images are laid on one another (``laid_strips.py``).
 """
 
 from __future__ import annotations

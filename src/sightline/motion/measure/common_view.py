@@ -3,7 +3,7 @@
 Detectors of one focal plane need not cover the same field: staggered CCDs share a few dozen columns, a
 small dedicated detector sees a hundred of a thousand. Windows are laid where both images look.
 
-Not here: the windows themselves (``windows.py``), which of them are matched (``stars.py``).
+Not here: the windows themselves (``windows.py``), which of them are matched (``plan.py``).
 """
 
 from __future__ import annotations

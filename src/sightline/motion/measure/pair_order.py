@@ -6,6 +6,7 @@ Not here: what is done with them (``applications/line_of_sight.py``).
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
-from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
+from sightline.matching.on_geometry import PairOnGeometry
 from sightline.motion.measure.predict import MovingCamera
 from sightline.motion.measure.windows import window_grid
 
@@ -59,16 +60,13 @@ def pair_correlations(
         if may is not None and frozenset((a, b)) not in may:
             out[a, b] = out[b, a] = -1.0
             continue
+        pair = PairOnGeometry(images[a], images[b], partial(predict_match, cameras[a], cameras[b], surface))
         centres = window_grid(images[a].shape, window, window[0]).centres
-        predicted = predict_match(cameras[a], cameras[b], surface, centres)
-        seen = np.flatnonzero(np.isfinite(predicted[:, 0]))
+        seen = np.flatnonzero(np.isfinite(pair.where(centres)[:, 0]))
         chosen = seen[np.unique(np.linspace(0, len(seen) - 1, min(MOST_WINDOWS, len(seen))).astype(int))]
         if len(chosen) < FEWEST_WINDOWS:
             continue
-        found = match_images(
-            images[a], images[b], centres[chosen], predicted[chosen], window=window, search_px=search_px,
-            whitening=None,
-        )  # fmt: skip
+        found = pair.found(centres[chosen], window=window, search_px=search_px, whitening=None).matches
         tried = found.status != OUTSIDE
         if tried.sum() >= FEWEST_WINDOWS:
             out[a, b] = out[b, a] = np.median(np.where(found.kept, np.nan_to_num(found.score), 0.0)[tried])

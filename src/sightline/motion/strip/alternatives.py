@@ -19,7 +19,7 @@ from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.measure.stars import pixel_sizes
+from sightline.motion.measure.laid_strips import pixel_sizes
 from sightline.motion.measure.windows import window_grid
 
 Array = NDArray[np.float64]

@@ -11,7 +11,8 @@ import numpy as np
 
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
-from sightline.motion.measure.stars import hub_windows, within_image
+from sightline.matching.on_geometry import within
+from sightline.motion.measure.plan import hub_windows
 from sightline.motion.measure.windows import WindowGrid, predict_windows
 from sightline.motion.sensors import AttitudeSensor
 from sightline.motion.strip.hyper import FEWEST_ROWS, KnownContent
@@ -120,7 +121,7 @@ def windows_in_common(
     plan = strip.plan(options, window, step)
     shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
     hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
-    common, within, side_by_side, rows = 0.0, 0.0, 0, 0.0
+    common, inside_all, side_by_side, rows = 0.0, 0.0, 0, 0.0
     whole_of = np.zeros(len(strip.bands))
     for hub, partners, grid in hubs:
         asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
@@ -129,18 +130,17 @@ def windows_in_common(
         for image, found in zip(
             partners, predict_windows(strip.nominal, hub, partners, strip.surface, some), strict=True
         ):
-            with np.errstate(invalid="ignore"):
-                here = ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
+            here = within(found.b, shapes[image])
             seen |= here
             rows = max(rows, share * float((here.reshape(some.shape).sum(axis=1) >= 2).sum()))
-            inside = within_image(found.b, shapes[image], grid.window)
+            inside = within(found.b, shapes[image], np.array(grid.window) / 2.0 - 1.0)
             whole |= inside
             whole_of[image] += share * float(inside.sum())
         common += share * float(seen.sum())
-        within += share * float(whole.sum())
+        inside_all += share * float(whole.sum())
         whole_of[hub] += share * float(whole.sum())
         side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
-    return CommonWindows(common, within, side_by_side, rows, tuple(whole_of.tolist()))
+    return CommonWindows(common, inside_all, side_by_side, rows, tuple(whole_of.tolist()))
 
 
 def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:

@@ -19,16 +19,15 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.measure.common_view import Views, common_views
-from sightline.motion.measure.predict import MovingCamera, StaticParameter
-from sightline.motion.measure.stars import (
+from sightline.motion.measure.laid_strips import MOST_UNLIKE, pixel_sizes
+from sightline.motion.measure.plan import (
     LEAST_WINDOW,
-    MOST_UNLIKE,
     ROWS_IN_LAG,
     SIMILARITIES,
     WEIGHTINGS,
     MatchingPlan,
-    pixel_sizes,
 )
+from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.measure.windows import exposure_times
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.statics import apply_statics, band_statics

@@ -23,9 +23,10 @@ from sightline.estimation.robust import robust_sigmas
 from sightline.matching.match_images import match_images
 from sightline.matching.whitening import Whitening
 from sightline.motion.measure.common_view import Views, common_views, usable
+from sightline.motion.measure.laid_strips import laid_on
 from sightline.motion.measure.match_noise import plain_variance, robust_weights
 from sightline.motion.measure.observations import Star
-from sightline.motion.measure.stars import StarRecord, laid_on, match_star
+from sightline.motion.measure.stars import StarRecord, match_star
 from sightline.motion.measure.windows import WindowGrid, exposure_times, near_instants
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
