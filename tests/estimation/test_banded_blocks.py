@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import csr_array
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation import banded_blocks
+from sightline.estimation import banded
 from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
-from sightline.estimation.banded_blocks import BlockwiseFactor, StoredBand, StoredFactor
+from sightline.estimation.banded_blocks import BlockwiseFactor, StoredBand
 
 B, N = 5, 47
 
@@ -66,8 +66,8 @@ def test_what_is_not_positive_or_does_not_fit_is_refused(tmp_path):
 
 def stored(band, monkeypatch, *, on_disk: bool):
     """A band, and its factor, in pieces of 12 columns."""
-    monkeypatch.setattr(banded_blocks, "PIECE_BYTES", 8 * (B + 1) * 12)
-    monkeypatch.setattr(banded_blocks, "HELD_BYTES", 0 if on_disk else 10**9)
+    monkeypatch.setattr(banded, "PIECE_BYTES", 8 * (B + 1) * 12)
+    monkeypatch.setattr(banded, "HELD_BYTES", 0 if on_disk else 10**9)
     laid = StoredBand(B, N)
     # given in overlapping stretches, as sums of windows are
     for begin in range(0, N, 9):
@@ -75,7 +75,7 @@ def stored(band, monkeypatch, *, on_disk: bool):
         part[:, :9] = band[:, begin : begin + 9]
         laid.add(begin, part)
     assert len(laid.spans()) == 4
-    return laid, StoredFactor(B, N, laid.columns)
+    return laid, BandedFactor.of_columns(B, N, laid.columns)
 
 
 @pytest.mark.parametrize("on_disk", [False, True])

@@ -4,6 +4,7 @@ Every smoother of the package ends here: normal equations of a motion on a time 
 as wide as the longest lag) with a few constants beside it (the border: offsets, rotations).
 Factor once, then solve, take the determinant, and take the band of the inverse, which is the
 covariance of neighbouring epochs. All of it costs O(n b^2) for n unknowns and b subdiagonals.
+A factor is one, however long: its pieces lie in memory or on disk.
 
 Band storage is "lower": ``band[d, j] = M[j + d, j]``, shape (b + 1, n), as scipy.linalg uses.
 
@@ -12,8 +13,12 @@ Not here: where the rows come from (``prior.py``, ``series.py``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from functools import cached_property
+from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -23,10 +28,13 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 
 from sightline.compiled import njit
 from sightline.errors import EstimationError, InputError
+from sightline.writing import naming_file, scratch_place
 
 Array = NDArray[np.float64]
 
 
+#: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
+PIECE_BYTES, HELD_BYTES = 12_000_000, 24_000_000
 #: Right sides from which on one sweep over the factor for all of them beats one sweep each (LAPACK's way).
 SWEEP_COLUMNS = 3
 
@@ -96,8 +104,62 @@ def sweep_backward(lower, x, first):  # type: ignore[no-untyped-def]
             x[first + j, c] *= inverse
 
 
+def piece_columns(subdiagonals: int) -> int:
+    """Columns of the pieces in which a band of so many subdiagonals is kept: more than it is wide."""
+    return max(PIECE_BYTES // (8 * (subdiagonals + 1)), 2 * (subdiagonals + 1))
+
+
+class Pieces:
+    """Arrays in memory or, where they are large together, one after the other in a scratch file without name.
+
+    `total` are the bytes of all of them.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._held: dict[int, Array] = {}
+        self._file: Any = None
+        if total > HELD_BYTES:
+            self._file = tempfile.TemporaryFile(buffering=0, dir=scratch_place())
+        self._shapes: dict[int, tuple[int, tuple[int, ...]]] = {}
+        # what is in memory can be copied and pickled
+        self._end, self._lock = 0, Lock() if self._file is not None else nullcontext()
+
+    def put(self, number: int, piece: Array) -> None:
+        """Keep a piece, in the place of the one before of this number."""
+        if self._file is None:
+            self._held[number] = piece
+            return
+        piece = np.ascontiguousarray(piece)
+        if number not in self._shapes:
+            self._shapes[number] = (self._end, piece.shape)
+            self._end += piece.nbytes
+        left, place = piece.ravel().view(np.uint8).data, self._shapes[number][0]
+        with naming_file(scratch_place() or Path(tempfile.gettempdir())), self._lock:
+            self._file.seek(place)
+            while left:
+                left = left[self._file.write(left) :]
+
+    def get(self, number: int) -> Array | None:
+        """A piece; None where none was put."""
+        if self._file is None:
+            return self._held.get(number)
+        if number not in self._shapes:
+            return None
+        place, shape = self._shapes[number]
+        out = np.empty(shape)
+        left = out.ravel().view(np.uint8).data
+        with self._lock:
+            self._file.seek(place)
+            while left:
+                left = left[self._file.readinto(left) :]
+        return out
+
+
 class BandedFactor:
     """Cholesky factor of a symmetric positive definite banded matrix.
+
+    It is made and kept in pieces of columns, on disk where these are large together; that of an array is one
+    piece. What a piece leaves to the next is its Schur complement, (b, b).
 
     Parameters
     ----------
@@ -124,46 +186,80 @@ class BandedFactor:
             raise InputError(f"`band` must have shape (subdiagonals + 1, n) with n > 0, got {band.shape}")
         # A band wider than the matrix holds nothing beyond the first n rows.
         band = band[: band.shape[1]]
-        if not np.isfinite(band).all():
-            raise InputError("`band` holds values that are not finite; check the rows that were summed")
-        try:
-            self._lower: Array = cholesky_banded(band, lower=True, check_finite=False)
-        except np.linalg.LinAlgError:
-            raise EstimationError(NOT_DEFINITE) from None
+        self._make(len(band) - 1, band.shape[1], band.shape[1], lambda first, last: band)
+
+    @classmethod
+    def of_columns(cls, subdiagonals: int, n: int, columns: Callable[[int, int], Array]) -> BandedFactor:
+        """The factor of a matrix whose columns [first, last) ``columns(first, last)`` gives, (b + 1, m).
+
+        These arrays may be written to.
+        """
+        out, b = cls.__new__(cls), min(subdiagonals, n - 1)
+        out._make(b, n, piece_columns(b), columns)
+        return out
+
+    def _make(self, subdiagonals: int, n: int, size: int, columns: Callable[[int, int], Array]) -> None:
+        """Factor piece by piece of `size` columns."""
+        self._b, self._n = subdiagonals, n
+        self._spans = [(k, min(k + size, n)) for k in range(0, n, size)]
+        self._pieces = Pieces(0 if size >= n else 8 * (subdiagonals + 1) * n)
+        self._logdet = 0.0
+        carried = np.zeros((0, 0))
+        for number, (first, last) in enumerate(self._spans):
+            band = columns(first, last)
+            if not np.isfinite(band).all():
+                raise InputError("`band` holds values that are not finite; check the rows that were summed")
+            lower, carried = eliminated(band, carried, n - last)
+            self._logdet += 2.0 * float(np.sum(np.log(lower[0])))
+            # a column of the factor lies in one piece of memory
+            self._pieces.put(number, np.ascontiguousarray(lower.T))
+
+    def _piece(self, number: int) -> Array:
+        """Columns of the factor as rows (m, b + 1)."""
+        piece = self._pieces.get(number)
+        assert piece is not None
+        return piece
 
     @property
     def n(self) -> int:
         """Number of unknowns."""
-        return int(self._lower.shape[1])
+        return self._n
 
     @property
     def subdiagonals(self) -> int:
         """Width b of the band below the diagonal."""
-        return int(self._lower.shape[0]) - 1
+        return self._b
 
     @property
     def lower(self) -> Array:
-        """The factor (b + 1, n) in lower band storage."""
-        return self._lower
+        """The factor (b + 1, n) in lower band storage, all of it in memory."""
+        parts = [self._piece(number).T for number in range(len(self._spans))]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    @cached_property
+    @property
     def logdet(self) -> float:
         """Natural logarithm of the determinant of the matrix."""
-        return 2.0 * float(np.sum(np.log(self._lower[0])))
+        return self._logdet
 
     def solve(self, rhs: Array) -> Array:
         """Solution x of M x = rhs; `rhs` is (n,) or (n, k) and x has the same shape."""
-        if rhs.ndim == 2 and rhs.shape[1] >= SWEEP_COLUMNS:
-            x = np.array(rhs, dtype=np.float64, order="C")
-            lower = np.ascontiguousarray(self._lower.T)
-            sweep_forward(lower, x, 0)
-            sweep_backward(lower, x, 0)
-            return x
-        return np.asarray(cho_solve_banded((self._lower, True), rhs, check_finite=False), dtype=np.float64)
+        if len(self._spans) == 1 and (rhs.ndim == 1 or rhs.shape[1] < SWEEP_COLUMNS):
+            return np.asarray(cho_solve_banded((self.lower, True), rhs, check_finite=False), dtype=np.float64)
+        x = np.array(rhs.reshape(len(rhs), -1), dtype=np.float64, order="C")
+        for number, (first, _) in enumerate(self._spans):
+            sweep_forward(self._piece(number), x, first)
+        for number, (first, _) in reversed(list(enumerate(self._spans))):
+            sweep_backward(self._piece(number), x, first)
+        return x.reshape(rhs.shape)
 
     def inverse_pieces(self, width: int) -> Iterator[tuple[int, Array]]:
         """Pieces of `inverse_band`, the last first: first column, band (width + 1, m)."""
-        yield 0, self.inverse_band(width)
+        # rows past the end of the matrix stay zero
+        keep = max(self._b, min(width, self._n - 1))
+        window = np.zeros((keep, keep))
+        for number, (first, _) in reversed(list(enumerate(self._spans))):
+            band, window = inverse_columns(self._piece(number).T, width, window)
+            yield first, band
 
     def inverse_band(self, width: int) -> Array:
         """Band of the inverse: ``out[d, j] = inv(M)[j + d, j]``, shape (width + 1, n).
@@ -182,13 +278,40 @@ class BandedFactor:
         """
         if width < 0:
             raise InputError(f"`width` must be 0 or more, got {width}")
-        n = self.n
-        keep = max(self.subdiagonals, min(width, n - 1))
-        # rows past the end of the matrix stay zero
-        result, _ = inverse_columns(self._lower, width, np.zeros((keep, keep)))
-        for d in range(1, min(width, keep) + 1):
-            result[d, n - d :] = 0.0
-        return result
+        out = np.empty((width + 1, self._n))
+        for first, band in self.inverse_pieces(width):
+            out[:, first : first + band.shape[1]] = band
+        for d in range(1, min(width, self._n - 1) + 1):
+            out[d, self._n - d :] = 0.0
+        return out
+
+
+def eliminated(band: Array, carried: Array, after: int) -> tuple[Array, Array]:
+    """Columns (b + 1, m) of a factor, and what they leave to the `after` unknowns behind them.
+
+    `band` are those of the matrix, `carried` what those before have left to them: it is added in place.
+    """
+    depth, count = band.shape
+    held = min(len(carried), count)
+    for d in range(min(held, depth)):
+        band[d, : held - d] += np.diagonal(carried, -d)[: held - d]
+    try:
+        lower = np.asarray(cholesky_banded(band[:count], lower=True, check_finite=False))
+    except np.linalg.LinAlgError:
+        raise EstimationError(NOT_DEFINITE) from None
+    if count < depth:  # rows below the columns
+        lower = np.concatenate([lower, np.zeros((depth - count, count))])
+    if after == 0:
+        return lower, np.zeros((0, 0))
+    near, reach = min(depth - 1, count), min(depth - 1, after)
+    corner, _ = dense_columns(lower[:, count - near :], depth - 1)
+    _, below = dense_columns(band[:, count - near :], depth - 1)
+    bridge = np.zeros((depth - 1, near))
+    bridge[:reach] = solve_triangular(corner, below[:reach].T, lower=True, check_finite=False).T
+    dense = np.zeros((near + depth, near), order="F")
+    dense[:near], dense[near : near + depth - 1] = corner, bridge
+    lower[:, count - near :] = _skewed(dense, depth)
+    return lower, -(bridge[:reach] @ bridge[:reach].T)
 
 
 def inverse_columns(lower: Array, width: int, window: Array) -> tuple[Array, Array]:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from sightline.estimation.banded import BandedFactor, BorderedFactor, add_band_times, band_times
-from sightline.estimation.banded_blocks import StoredFactor
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
 from sightline.motion.strip.fusion import Ties, add_ties
@@ -493,7 +492,7 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
         out[: len(p)] += p
         return out
 
-    return _Banded(StoredFactor(depth - 1, n, columns), ones, pulled, None)
+    return _Banded(BandedFactor.of_columns(depth - 1, n, columns), ones, pulled, None)
 
 
 def _constants(size: int, block: int, place: Index) -> Array:
