@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import toeplitz
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import NoiseModel, Search
+from sightline.estimation.search import NoiseModel, Search, descend
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, COUNT, TDI, SIGMA = 1e-3, 800, 8e-3, 0.02
@@ -111,3 +111,31 @@ def test_nothing_is_hidden_where_an_image_has_no_stages() -> None:
         [series], Spectrum((Matern(0.1, 1.0, "5/2"), Matern(1e-3, 0.01, "3/2"))), tdi=(0.0, TDI)
     )
     assert finder.hidden_tones(model) == ((), ())
+
+
+class TestDescend:
+    @staticmethod
+    def valley(x):
+        # Rosenbrock's, whose least value is at (1, 1)
+        value = 100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2
+        slope = np.array(
+            [-400.0 * x[0] * (x[1] - x[0] ** 2) - 2.0 * (1.0 - x[0]), 200.0 * (x[1] - x[0] ** 2)]
+        )
+        return value, slope
+
+    def test_a_bent_valley_is_followed_to_its_lowest_place(self):
+        bounds = np.array([[-5.0, 5.0], [-5.0, 5.0]])
+        found = descend(self.valley, np.array([-1.2, 1.0]), bounds, np.eye(2), 200, 1e-14)
+        np.testing.assert_allclose(found, [1.0, 1.0], atol=1e-5)
+
+    def test_a_bound_is_kept_and_the_rest_is_lowered_along_it(self):
+        bounds = np.array([[-5.0, 0.5], [-5.0, 5.0]])
+        found = descend(self.valley, np.array([-1.2, 1.0]), bounds, np.eye(2), 200, 1e-14)
+        np.testing.assert_allclose(found, [0.5, 0.25], atol=1e-5)
+
+    def test_where_there_is_no_value_it_does_not_go(self):
+        def wall(x):
+            return (float("inf"), np.zeros(1)) if x[0] > 2.0 else ((x[0] - 3.0) ** 2, 2.0 * (x - 3.0))
+
+        found = descend(wall, np.zeros(1), np.array([[-9.0, 9.0]]), np.eye(1), 200, 1e-12)
+        assert 1.9 < found[0] <= 2.0

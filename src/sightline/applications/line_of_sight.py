@@ -74,6 +74,9 @@ LINEARISATION_SHARE = 0.07
 #: one pass on the fine grid leaves a trace), and how far from settled (in tolerances) they may stop: the last
 #: pass linearises once more, which divides what is left by about four.
 DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
+#: Most of what a pass of a draft changed that is left for the next one to change: a ninth to a fifteenth on
+#: strips of 3,000 columns, more where the motion is large against the search.
+DRAFT_LEFT = 0.25
 #: What the spectra of drafts cost against those of the last pass.
 DRAFT_WORK = 0.3
 #: A given spectrum that moves the motion by more of its sigmas is not that of the motion.
@@ -204,7 +207,7 @@ def joint_line_of_sight(
         strip = replace(strip, order=_best_first(strip, options))
     wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
     draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES), draft=True) if wide else strip
-    tolerance = options.tolerance * (DRAFT_TOLERANCE if draft.draft else 1.0)
+    tolerance = options.tolerance * (DRAFT_TOLERANCE / DRAFT_LEFT if draft.draft else 1.0)
     names = [_AFTER.format(number) for number in range(options.passes + 1)]
     names += [_WHOLE] * wide + [_GIVEN] * (strip.known.spectra is not None)
     passed = _resumed(stages, names)
@@ -248,7 +251,7 @@ def joint_line_of_sight(
     if len(strip.bands) > 2:
         tell("predicting what was not used")
     withheld = judged(strip, state, options)
-    result = replace(_result(strip, state, list(passed.changes), options.window), withheld=withheld)
+    result = replace(_result(strip, state, passed.changes, options.window, draft), withheld=withheld)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))
     warnings = (*result.warnings, *warnings)
     return strip, state, replace(result, differences=differences, warnings=warnings)
@@ -327,11 +330,10 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
     plan = strip.plan(options, options.first_window, options.first_window[0])
     step = steps_of(tell, "first pass: matching once more")
-    records = _match(strip, state.estimate.nodes, state.estimate.statics, plan, step=step)
+    nodes, statics = state.estimate.nodes, state.estimate.statics
+    records = _match(strip, nodes, statics, plan, records, step, learned=True)
     records = tuple(_with_floor(r) for r in records)
-    return solve_strip(
-        strip, records, state.estimate.nodes, state.estimate.statics, strip.broad, height_sigma, before=state
-    )
+    return solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
 
 
 def _found_shapes(strip: Strip, state: StripState, options: RecoverOptions, tell: Progress) -> Shapes:
@@ -389,7 +391,7 @@ def _compensated_pass(
     """Match again with windows moved by the motion found; refit the prior, or take the one given; solve."""
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
-    records = _match(strip, nodes, statics, plan, state.records, step, learned=0 < number < options.passes)
+    records = _match(strip, nodes, statics, plan, state.records, step, learned=number > 0)
     _some_left(strip, state, records)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
     _some_left(strip, solved, solved.records)
@@ -518,7 +520,9 @@ def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
     return (*(f"constant of {axis}" for axis in axes), *(f"drift of {axes[k]}{about}" for k in drifts))
 
 
-def _result(strip: Strip, state: StripState, changes: list[float], window: tuple[int, int]) -> LineOfSight:
+def _result(
+    strip: Strip, state: StripState, changes: tuple[float, ...], window: tuple[int, int], draft: Strip
+) -> LineOfSight:
     """The last state as a result at the lines of the first band, gone on to all exposures."""
     estimate, lines = state.estimate, strip.lines()
     t = strip.nominal[0].times(lines.astype(np.float64))
@@ -556,7 +560,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         after_px=state.post_px,
         cameras=cameras,
         image_names=tuple(b.name for b in strip.bands),
-        changes=tuple(changes),
+        changes=changes,
         sensors=() if estimate.ties is None else uses(estimate.ties, estimate.own, estimate.own_sigma),
         band=TimeCovariance(
             strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
@@ -564,5 +568,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         functional_covariance=partial(estimate.functional_covariance, t, turn=turn),
         relief=_relief(strip, state),
         lines=lines,
-        warnings=strip_warnings(strip, state, motion, observed, changes),
+        warnings=strip_warnings(
+            strip, state, motion, observed, list(changes), DRAFT_LEFT if draft.draft else 1.0
+        ),
     )

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.estimation.evidence import EvenRate, rate_weights
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import NoiseModel, Search
+from sightline.estimation.search import ROUGHLY, NoiseModel, Search
 from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
 
 Array = NDArray[np.float64]
 
 #: Work allowed per evaluation, n b^2; about 40 ms. Longer strips are fitted on a coarser grid.
 WORK = 1.0e8
-#: Iterations of a search from each place to start, before tones are looked for.
-FIRST_ITERATIONS = 12
+#: Steps of a search from each place to start, before tones are looked for.
+FIRST_ITERATIONS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,15 +171,15 @@ def fit_spectrum(
     given = None if start is None else NoiseModel.of(start.scaled(1.0 / unit))
     begins = _begins(search, _guesses(inside, grid), given, anew=max_tones > 0)
     first = FIRST_ITERATIONS if max_tones > 0 else iterations
-    begun = [search.improve(search.with_given_tones(one, known_tones), first) for one in begins]
+    begun = [search.improve(search.with_given_tones(one, known_tones), first, ROUGHLY) for one in begins]
     model = min(begun, key=search.deviance)
     for _ in range(max_tones - len(model.tones)):
         found = search.unexplained_tones(model, false_alarm)
         if not found:
             break
-        model = search.improve(model.with_tone(*found[0]), 10)
+        model = search.improve(model.with_tone(*found[0]), 10, ROUGHLY)
     if model.tones:
-        model = search.without_aliases(search.improve(model, 25), false_alarm)
+        model = search.without_aliases(search.improve(model, 25, ROUGHLY), false_alarm)
     model = search.with_smoothness(model)
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))

@@ -8,7 +8,7 @@ Not here: the steps in their order (``likelihood.py``), the evidence of one mode
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +39,8 @@ CORNER_BELIEF = 0.7
 #: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
 #: parameter, thrice: there are three steps to take).
 SMOOTHER = 6.0
+#: Steps after which that must show.
+SMOOTHER_STEPS = 6
 #: Tones nearer to the rate of the differences than this, in units of one over the length of the data, turn by
 #: so few periods against it that offsets of the images, and drifts, take their place.
 NEAR_RATE = 4.0
@@ -59,6 +61,15 @@ HARDLY_CHANCE = 1e-3
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
 #: the rows hold of it is like the noise of the measurements.
 QUICKEST = 0.3
+#: Deviance that the last step of a search gains at most, and one after which the search goes on otherwise:
+#: what tells models apart is 6 and more.
+SETTLED, ROUGHLY = 0.1, 1.0
+#: A step of the search goes no farther in any parameter (logarithms), and is shortened so many times at most.
+FARTHEST_STEP, HALVINGS = 1.5, 6
+#: Second derivatives of the deviance by the logarithms of a tone's size and width, about.
+TONE_SIZE, TONE_WIDTH = 40.0, 8.0
+#: What steps of the drift's size and time scale are held back by.
+DRIFT_RIDGE = 10.0
 #: Windows overlap where they are longer than so many times what lies between two rows.
 OVERLAPPING = 1.2
 #: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
@@ -232,39 +243,70 @@ class Search:
         bounds.append((math.log(0.2), math.log(5.0)) if self._fit_noise else (0.0, 0.0))
         return bounds
 
-    def improve(self, model: NoiseModel, iterations: int) -> NoiseModel:
-        """The best model within some iterations of L-BFGS from `model`; never worse than it."""
-        from scipy.optimize import minimize
+    def improve(self, model: NoiseModel, iterations: int, gain: float = SETTLED) -> NoiseModel:
+        """The best model within some iterations from `model`; never worse than it.
 
+        Quasi-Newton steps that begin with the expected curvature (`_curvature`). The search ends with the
+        first step that lowers the deviance by less than `gain`.
+        """
         origin = model
-        x0 = self._vector(model)
-        bounds = self._bounds(model)
-        x0 = np.clip(x0, [b[0] for b in bounds], [b[1] for b in bounds])
-        pull = np.full(len(x0), BELIEF**-2)
-        centre = x0.copy()
+        bounds = np.array(self._bounds(model))
+        x = np.clip(self._vector(model), bounds[:, 0], bounds[:, 1])
+        pull = np.full(len(x), BELIEF**-2)
+        centre = x.copy()
         pull[5:-1:3] = 0.0  # frequencies: bounded, not believed
         pull[6:-1:3], centre[6:-1:3] = BANDWIDTH_BELIEF**-2, -math.log(self._length)
         if self._corner is not None:
             pull[3] = CORNER_BELIEF**-2
             centre[3] = math.log(model.broadband.timescale * model.broadband.corner / self._corner)
-        best: list[tuple[float, Array]] = [(math.inf, x0)]
 
         def objective(x: Array) -> tuple[float, Array]:
             try:
                 value, slope = self._value_and_slope(self._model(x, origin))
             except (EstimationError, InputError):
-                return 1e30, np.zeros_like(x)
-            value += float(pull @ (x - centre) ** 2)
-            if value < best[0][0]:
-                best[0] = (value, x.copy())
-            return value, slope + 2.0 * pull * (x - centre)
+                return math.inf, np.zeros_like(x)
+            return value + float(pull @ (x - centre) ** 2), slope + 2.0 * pull * (x - centre)
 
-        scale = max(1.0, abs(objective(x0)[0]))
-        minimize(
-            objective, x0, jac=True, method="L-BFGS-B", bounds=bounds,
-            options={"maxiter": iterations, "ftol": 0.05 / scale, "gtol": 0.1, "maxcor": 20},
-        )  # fmt: skip
-        return self._model(best[0][1], origin)
+        begin = self._model(x, origin)
+        curvature = self._curvature(begin) + 2.0 * np.diag(pull + 1e-3)
+        return self._model(descend(objective, x, bounds, curvature, iterations, gain), origin)
+
+    def _curvature(self, model: NoiseModel) -> Array:
+        """About the second derivatives of the deviance by the parameters.
+
+        Those expected of a stationary problem: with S the broad parts of the motion's spectrum, N the data's
+        information at a frequency, and ``w = S N / (1 + S N)``, the sum over frequencies of ``w^2`` times the
+        products of the derivatives of ln S; likewise of the noise with 1 - w. A tone that is narrower than
+        the data resolve has as many as few periods tell of.
+        """
+        grid, count = self._equations.grid, self._equations.grid.count
+        # constants and even rates, the first frequency, are no part of the spectrum
+        f = np.arange(2, count // 2 + 1) / (count * grid.step)
+        lags = grid.step * np.arange(len(self._equations.band))
+        diagonals = self._equations.band.sum(axis=1) / (model.noise_scale * count)
+        information = 2.0 * np.cos(2.0 * math.pi * np.outer(f, lags)) @ diagonals - diagonals[0]
+        parts = (model.drift, model.broadband)
+        whole = sum(part.psd(f) for part in parts)
+        w = whole * np.maximum(information, 0.0) / (2.0 * grid.step)
+        w = w / (1.0 + w)
+        rows = [w * 2.0 * part.psd(f) / whole for part in parts]
+        slower = [replace(part, timescale=part.timescale * math.exp(1e-3)) for part in parts]
+        more = [w * (s.psd(f) - part.psd(f)) / (1e-3 * whole) for s, part in zip(slower, parts, strict=True)]
+        broad = np.stack([rows[0], more[0], rows[1], more[1], 1.0 - w])
+        broad = 2.0 * broad @ broad.T
+        broad[-1, -1] += max(self._equations.measurements - count, 0)
+        # along the ridge of drifts that bend alike it is hardly curved, but the ridge is
+        broad[[0, 1], [0, 1]] += DRIFT_RIDGE
+        out = np.zeros((5 + 3 * len(model.tones),) * 2)
+        own = np.array([0, 1, 2, 3, len(out) - 1])
+        out[np.ix_(own, own)] = broad
+        for k, tone in enumerate(model.tones):
+            # a line beside the tone's place has its energy where the tone has so much less
+            narrow = min(tone.bandwidth * self._length, 1.0)
+            out[4 + 3 * k, 4 + 3 * k] = TONE_SIZE
+            out[5 + 3 * k, 5 + 3 * k] = 36.0 * math.pi / narrow
+            out[6 + 3 * k, 6 + 3 * k] = TONE_WIDTH
+        return out
 
     def _value_and_slope(self, model: NoiseModel) -> tuple[float, Array]:
         """Deviance and its derivatives: through the moments of the posterior, at the cost of one."""
@@ -377,7 +419,7 @@ class Search:
                 if abs(rival.frequency - tone.frequency) < 3.0 / self._length:
                     continue
                 place = Tone(rival.sigma, rival.frequency, min(tone.bandwidth, 0.1 * rival.frequency))
-                moved = self.improve(others.with_tone(place, gain), 25)
+                moved = self.improve(others.with_tone(place, gain), 25, ROUGHLY)
                 if self._alias_score(moved, -1) < self._alias_score(model, k):
                     # Keep the place of the tone in the list, over which the loop runs.
                     tones, gains = list(moved.tones), list(moved.gains)
@@ -439,10 +481,11 @@ class Search:
         """
         for order in ORDERS[ORDERS.index(model.broadband.order) + 1 :]:
             part = model.broadband
-            smoother = self.improve(replace(model, broadband=Matern(part.sigma, part.timescale, order)), 25)
+            smoother = replace(model, broadband=Matern(part.sigma, part.timescale, order))
+            smoother = self.improve(smoother, SMOOTHER_STEPS, ROUGHLY)
             if self.deviance(smoother) > self.deviance(model) - SMOOTHER:
                 break
-            model = smoother
+            model = self.improve(smoother, 25, ROUGHLY)
         return model
 
     def with_possible_tones(
@@ -558,10 +601,84 @@ class Search:
             present = self.deviance(model)
             if self.deviance(fewer) > present + 30.0:
                 continue
-            fewer = self.improve(fewer, 10)
+            fewer = self.improve(fewer, 10, ROUGHLY)
             if self.deviance(fewer) < present + 6.0:
                 model = fewer
         return model
+
+
+def descend(
+    objective: Callable[[Array], tuple[float, Array]],
+    x: Array,
+    bounds: Array,
+    curvature: Array,
+    iterations: int,
+    gain: float,
+) -> Array:
+    """Lower a function within bounds by quasi-Newton steps.
+
+    Parameters
+    ----------
+    objective : callable
+        Gives the value, infinite where there is none, and its slope (n,).
+    x : (n,)
+        Where to begin.
+    bounds : (n, 2)
+        Least and largest.
+    curvature : (n, n)
+        Positive definite: second derivatives to begin with; steps correct them (BFGS).
+    iterations : int
+        Steps at most.
+    gain : float
+        A whole step, or two in a row, that lower the value by less end the search.
+
+    Returns
+    -------
+    (n,) the best place that was looked at
+    """
+    value, slope = objective(x)
+    hardly = 0
+    for _ in range(iterations):
+        # what stands at a bound and would go beyond stays
+        free = ~(((x <= bounds[:, 0]) & (slope > 0.0)) | ((x >= bounds[:, 1]) & (slope < 0.0)))
+        free &= bounds[:, 0] < bounds[:, 1]
+        if not free.any():
+            break
+        step = np.zeros_like(x)
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], slope[free])
+        step /= max(1.0, float(np.abs(step).max()) / FARTHEST_STEP)
+        size, lowered = 1.0, False
+        for _ in range(HALVINGS):
+            there = np.clip(x + size * step, bounds[:, 0], bounds[:, 1])
+            new, new_slope = objective(there)
+            expected = float(slope @ (there - x))
+            lowered = new <= value + 1e-4 * min(expected, 0.0) and new < math.inf
+            if lowered:
+                break
+            # the lowest place of the parabola through what is known, no nearer than a tenth
+            bend = new - value - expected
+            size *= min(max(-0.5 * expected / bend, 0.1), 0.5) if 0.0 < bend < math.inf else 0.1
+        if not lowered:
+            break
+        moved, turned, gained = there - x, new_slope - slope, value - new
+        x, value, slope = there, new, new_slope
+        # a step that had to be shortened says little of what is left to gain
+        hardly = 0 if gained >= gain else hardly + (2 if size == 1.0 else 1)
+        if hardly >= 2:
+            break
+        curvature = _corrected(curvature, moved, turned)
+    return x
+
+
+def _corrected(curvature: Array, moved: Array, turned: Array) -> Array:
+    """The curvature once a move was seen to turn the slope (BFGS), damped so that it stays positive definite."""
+    pushed = curvature @ moved
+    expected, along = float(moved @ pushed), float(moved @ turned)
+    if along < 0.2 * expected:
+        share = 0.8 * expected / (expected - along)
+        turned = share * turned + (1.0 - share) * pushed
+        along = float(moved @ turned)
+    return np.asarray(curvature - np.outer(pushed, pushed) / expected + np.outer(turned, turned) / along)
 
 
 def left_by_tdi(frequency: Array, tdi: Sequence[float]) -> Array:

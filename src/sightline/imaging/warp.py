@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ _LATTICE = 8.0
 ROUGH = 6
 #: Highest frequency (cycles per line) that must come through between uneven lines, as between even ones.
 _BAND = 0.38
+#: Places per line at which autocorrelations are tabulated.
+_TABLED = 1024
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -51,54 +54,72 @@ def _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out):  # t
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _fill_uneven_weights(places, row, line, share, band, work, out):  # type: ignore[no-untyped-def]
+def _fill_uneven_weights(places, row, line, share, flat, work, out):  # type: ignore[no-untyped-def]
     """Weights of lines row - 3 .. row + 4 at the position `line` where these stand as `places` says.
 
     Those of `resample.delay_weights`, with the lines where they are: the normal matrix is the autocorrelation
-    of a spectrum that is flat up to `band` between the lines, the right side that between lines and place.
-    `share` of the way from the first to the last column; `work` (9, 8) and (10, 8) of scratch.
+    of a spectrum that is flat up to a frequency between the lines, the right side that between lines and
+    place; `flat` tabulates it (`_flat_table`). `share` of the way from the first to the last column; `work`
+    (11, 8) of scratch.
     """
     x, factor = work[0], work[1:9]
     for k in range(8):
         line_k = row - 3 + k
-        x[k] = (1.0 - share) * places[line_k, 0] + share * places[line_k, 1]
+        x[k] = _TABLED * ((1.0 - share) * places[line_k, 0] + share * places[line_k, 1])
     a, b, c, d = unit_weights(line - row + 1.0)
     y = a * x[2] + b * x[3] + c * x[4] + d * x[5]
     free, ones = work[9], work[10]
+    last = len(flat) - 2
     for i in range(8):
         for j in range(i):
-            angle = 2.0 * np.pi * band * (x[i] - x[j])
-            factor[i, j] = 2.0 * band * np.sin(angle) / angle if abs(angle) > 1e-9 else 2.0 * band
-        factor[i, i] = 2.0 * band + 1e-9
-        angle = 2.0 * np.pi * band * (x[i] - y)
-        free[i] = 2.0 * band * np.sin(angle) / angle if abs(angle) > 1e-9 else 2.0 * band
+            lag = abs(x[i] - x[j])
+            at = min(int(lag), last)
+            factor[i, j] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
+        factor[i, i] = flat[0] + 1e-9
+        lag = abs(x[i] - y)
+        at = min(int(lag), last)
+        free[i] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
         ones[i] = 1.0
-    for i in range(8):  # Cholesky, and forward substitution on the way
-        for j in range(i + 1):
+    for i in range(8):  # Cholesky, the inverse of its diagonal in its place, and forward substitution
+        for j in range(i):
             total = factor[i, j]
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
-            factor[i, j] = total / factor[j, j] if j < i else np.sqrt(max(total, 1e-12))
+            factor[i, j] = total * factor[j, j]
+        total = factor[i, i]
         for k in range(i):
+            total -= factor[i, k] * factor[i, k]
             free[i] -= factor[i, k] * free[k]
             ones[i] -= factor[i, k] * ones[k]
-        free[i] /= factor[i, i]
-        ones[i] /= factor[i, i]
+        factor[i, i] = 1.0 / np.sqrt(max(total, 1e-12))
+        free[i] *= factor[i, i]
+        ones[i] *= factor[i, i]
     sum_free, sum_ones = 0.0, 0.0
     for i in range(7, -1, -1):
         for k in range(i + 1, 8):
             free[i] -= factor[k, i] * free[k]
             ones[i] -= factor[k, i] * ones[k]
-        free[i] /= factor[i, i]
-        ones[i] /= factor[i, i]
+        free[i] *= factor[i, i]
+        ones[i] *= factor[i, i]
         sum_free += free[i]
         sum_ones += ones[i]
     for i in range(8):
         out[i] = free[i] + ones[i] / sum_ones * (1.0 - sum_free)
 
 
+@cache
+def _flat_table() -> Array:
+    """Autocorrelation of a spectrum that is flat up to `_BAND`, by lag in 1 / `_TABLED` lines; read-only.
+
+    Between its entries it is linear, within 2e-7.
+    """
+    table = 2.0 * _BAND * np.sinc(2.0 * _BAND * np.arange(16 * _TABLED) / _TABLED)
+    table.setflags(write=False)
+    return table
+
+
 @njit(cache=True, nogil=True, fastmath=True)
-def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before, places, shares, band, work):  # type: ignore[no-untyped-def]
+def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before, places, shares, flat, work):  # type: ignore[no-untyped-def]
     """The same where positions run almost with the pixels.
 
     Lines first, then columns, weights carried linearly. `places` of the image's lines, where they are uneven,
@@ -116,8 +137,8 @@ def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before,
         if before == row:
             w[0] = w[1]
         else:
-            _fill_uneven_weights(places, row, l0, shares[0], band, work, w[0])
-        _fill_uneven_weights(places, row, l1, shares[1], band, work, w[1])
+            _fill_uneven_weights(places, row, l0, shares[0], flat, work, w[0])
+        _fill_uneven_weights(places, row, l1, shares[1], flat, work, w[1])
     else:
         fill_weights(table, l0 - row, w[0])
         fill_weights(table, l1 - row, w[1])
@@ -125,39 +146,45 @@ def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before,
     fill_weights(table, shift1 - offset, w[3])
     width = n + 7
     scale = np.float32(1.0 / n)
-    for j in range(width):
-        v[0, j] = np.float32(0.0)
-        v[1, j] = np.float32(0.0)
-    for k in range(8):
-        a, b = w[0, k], w[1, k] - w[0, k]
-        for j in range(width):
-            pixel = image[row - 3 + k, offset - 3 + j]
-            v[0, j] += a * pixel
-            v[1, j] += b * pixel
     # column j of these belongs to the place in the row whose columns come from there: part of a pixel back
-    back = np.float32(0.5 * (shift0 + shift1) - offset)
+    back = np.float32(0.5 * (shift0 + shift1) - offset) + np.float32(3.0)
+    first_column, past = offset - 3, offset - 3 + width
+    p0, p1 = image[row - 3, first_column:past], image[row - 2, first_column:past]
+    p2, p3 = image[row - 1, first_column:past], image[row, first_column:past]
+    p4, p5 = image[row + 1, first_column:past], image[row + 2, first_column:past]
+    p6, p7 = image[row + 3, first_column:past], image[row + 4, first_column:past]
+    a0, a1, a2, a3, a4, a5, a6, a7 = w[0, 0], w[0, 1], w[0, 2], w[0, 3], w[0, 4], w[0, 5], w[0, 6], w[0, 7]
+    b0, b1, b2, b3 = w[1, 0] - a0, w[1, 1] - a1, w[1, 2] - a2, w[1, 3] - a3
+    b4, b5, b6, b7 = w[1, 4] - a4, w[1, 5] - a5, w[1, 6] - a6, w[1, 7] - a7
+    line = v[0]
     for j in range(width):
-        v[0, j] += (np.float32(j - 3) - back) * scale * v[1, j]
+        here = a0 * p0[j] + a1 * p1[j] + a2 * p2[j] + a3 * p3[j]
+        here += a4 * p4[j] + a5 * p5[j] + a6 * p6[j] + a7 * p7[j]
+        slope = b0 * p0[j] + b1 * p1[j] + b2 * p2[j] + b3 * p3[j]
+        slope += b4 * p4[j] + b5 * p5[j] + b6 * p6[j] + b7 * p7[j]
+        line[j] = here + (np.float32(j) - back) * scale * slope
+    a0, a1, a2, a3, a4, a5, a6, a7 = w[2, 0], w[2, 1], w[2, 2], w[2, 3], w[2, 4], w[2, 5], w[2, 6], w[2, 7]
+    b0, b1, b2, b3 = w[3, 0] - a0, w[3, 1] - a1, w[3, 2] - a2, w[3, 3] - a3
+    b4, b5, b6, b7 = w[3, 4] - a4, w[3, 5] - a5, w[3, 6] - a6, w[3, 7] - a7
+    q0, q1, q2, q3 = line, line[1:], line[2:], line[3:]
+    q4, q5, q6, q7 = line[4:], line[5:], line[6:], line[7:]
+    part = out[first:last]
     for j in range(n):
-        v[1, j] = np.float32(0.0)
-        v[2, j] = np.float32(0.0)
-    for k in range(8):
-        a, b = w[2, k], w[3, k] - w[2, k]
-        for j in range(n):
-            value = v[0, j + k]
-            v[1, j] += a * value
-            v[2, j] += b * value
-    for j in range(n):
-        out[first + j] = v[1, j] + np.float32(j) * scale * v[2, j]
+        here = a0 * q0[j] + a1 * q1[j] + a2 * q2[j] + a3 * q3[j]
+        here += a4 * q4[j] + a5 * q5[j] + a6 * q6[j] + a7 * q7[j]
+        slope = b0 * q0[j] + b1 * q1[j] + b2 * q2[j] + b3 * q3[j]
+        slope += b4 * q4[j] + b5 * q5[j] + b6 * q6[j] + b7 * q7[j]
+        part[j] = here + np.float32(j) * scale * slope
     return row
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _warp(image, position, nodes, start, slack, table, out, places, shares, band):  # type: ignore[no-untyped-def]
+def _warp(image, position, nodes, start, slack, table, out, places, shares, flat):  # type: ignore[no-untyped-def]
     """Rows of `out` from positions (rows, nodes, 2) at columns `nodes`; `start`: column of out[:, 0].
 
     `places` (lines, 2) of the image's lines at the first and the last column of its source, none where they
-    are even; `shares` (2,): how far between these the image's column 0 lies, and the step to the next.
+    are even; `shares` (2,): how far between these the image's column 0 lies, and the step to the next;
+    `flat`: `_flat_table`.
     """
     work, ends = np.empty((11, 8)), np.empty(2)
     wy, wx = np.empty(8, np.float32), np.empty(8, np.float32)
@@ -177,7 +204,7 @@ def _warp(image, position, nodes, start, slack, table, out, places, shares, band
             if abs(l1 - l0) <= slack and abs(c1 - c0 - n) <= slack:
                 ends[0], ends[1] = shares[0] + shares[1] * c0, shares[0] + shares[1] * c1
                 row = _fast_interval(
-                    image, l0, l1, c0, c1, first, last, table, w, v, out[i], before, places, ends, band, work
+                    image, l0, l1, c0, c1, first, last, table, w, v, out[i], before, places, ends, flat, work
                 )
             if row < 0:
                 _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out[i])
@@ -275,7 +302,7 @@ class WarpedImage:
             places = np.ascontiguousarray(self.places[first[0] : last[0]])
         shares = np.array([first[1] / width, 1.0 / width])
         moved, numbers = np.ascontiguousarray(moved), nodes.astype(np.int64)
-        _warp(image, moved, numbers, columns[0], SLACK, kernel_table(), out, places, shares, _BAND)
+        _warp(image, moved, numbers, columns[0], SLACK, kernel_table(), out, places, shares, _flat_table())
         if bad is not None:
             out[_hit(bad, moved, nodes - columns[0])] = np.nan
         return out

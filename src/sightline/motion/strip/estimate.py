@@ -51,6 +51,9 @@ Array = NDArray[np.float64]
 #: Times that matches are weighed by their own scatter and the motion solved again: once a spectrum is fitted
 #: in the pass, and in drafts and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
+#: Rounds end where weights moved residuals by less than this (rms) of a match's sigma, and no further jump
+#: was found: the next round would move them by a tenth of it.
+STILL = 0.025
 #: Times that control points are linearised before the first matching.
 INITIAL_ROUNDS = 3
 #: Times that readings are weighed by what an estimate from sensors alone leaves of them, so that one wrong
@@ -131,7 +134,7 @@ def solve_strip(
     rounds: int = DRAFT_ROUNDS,
     jumps: bool = True,
 ) -> StripState:
-    """Solve; `rounds` times weigh matches by their scatter, let the motion jump where it did, solve again."""
+    """Solve; weigh matches by their scatter, let the motion jump where it did, solve again, in `rounds`."""
     grid = strip.grid
     stars = [r.star for r in records]
     measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
@@ -185,9 +188,13 @@ def solve_strip(
             s.with_correlation(model.grown(c)) for s, c in zip(stars, _correlations(stars, post), strict=True)
         ]
         rows = _reweighted(rows, estimate, believed=not settled)
+        jumped = prior.innovation_weights
         if settled and jumps:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
+        earlier = post
         estimate, post, without = solution()
+        if _same_jumps(jumped, prior.innovation_weights) and _moved(stars, earlier, post) < STILL:
+            break
     if unknown_relief:
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(replace(r, star=s) for s, r in zip(stars, records, strict=True))
@@ -203,6 +210,24 @@ def solve_strip(
         orders[0],
         height_sigma,
     )
+
+
+def _same_jumps(before: Array | None, after: Array | None) -> bool:
+    """Whether the motion was let jump at the same instants."""
+    none = np.zeros(1, dtype=bool)
+    old, new = (none if w is None or (w >= 1.0).all() else w < 1.0 for w in (before, after))
+    return np.array_equal(old, new)
+
+
+def _moved(stars: Sequence[Star], before: Sequence[Array], after: Sequence[Array]) -> float:
+    """By how much residuals changed, rms over the windows that count, in sigmas of their matches."""
+    total, count = 0.0, 0
+    for star, old, new in zip(stars, before, after, strict=True):
+        used = star.present & (star.weight > 0.0)
+        variance = star.covariance_px[..., 0, 0] + star.covariance_px[..., 1, 1]
+        total += float((((new - old) ** 2).sum(axis=-1)[used] / variance[used]).sum())
+        count += int(used.sum())
+    return float(np.sqrt(total / max(count, 1)))
 
 
 def _gauge(strip: Strip) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

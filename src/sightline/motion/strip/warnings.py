@@ -170,11 +170,19 @@ def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]
 
 
 def strip_warnings(
-    strip: Strip, state: StripState, motion: Motion, observed: NDArray[np.bool_], changes: list[float]
+    strip: Strip,
+    state: StripState,
+    motion: Motion,
+    observed: NDArray[np.bool_],
+    changes: list[float],
+    left: float = 1.0,
 ) -> tuple[str, ...]:
-    """What a user should know before trusting the numbers."""
+    """What a user should know before trusting the numbers.
+
+    `left`: share of the last of the `changes` that was left for a pass that is not among them.
+    """
     out = []
-    if changes and changes[-1] > 1.0:
+    if changes and left * changes[-1] > 1.0:
         out.append(
             f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; check the "
             "camera description, or allow more with [matching] passes"

@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 ASKED_WINDOWS, SAMPLE_WINDOWS = 600, 240
 #: Pairs that a run looks at by itself: of many bands neighbours come first.
 SAMPLE_PAIRS = 3
+#: Rows of these at least.
+LEAST_ROWS = 8
 #: Fewer matched windows judge nothing.
 LEAST_WINDOWS = 10
 #: Rows of windows over which errors of neighbours are looked at for what they share.
@@ -284,8 +286,7 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int], whitening: Wh
     best = max(through, key=lambda k: int(state.records[k].star.present.sum()))
     used, post = state.records[best].star, state.post_px[best]
     ja, jb = used.images.index(a), used.images.index(b)
-    which = np.flatnonzero(used.present[:, ja] & used.present[:, jb])
-    which = which[np.linspace(0, len(which) - 1, min(len(which), SAMPLE_WINDOWS)).astype(int)]
+    which = _whole_rows(used.present[:, ja] & used.present[:, jb], used.shape)
     if used.window is None or len(which) < LEAST_WINDOWS:
         return np.ones(2)
     cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
@@ -305,6 +306,15 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int], whitening: Wh
         return np.ones(2)
     direct, apart = (part[good] - part[good].mean(axis=0) for part in (direct, apart))
     return np.clip((direct * apart).mean(axis=0) / (direct**2).mean(axis=0), 0.0, 1.0)
+
+
+def _whole_rows(seen: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.intp]:
+    """About SAMPLE_WINDOWS of the windows `seen` (G,), whole rows of them: what lies between is not read."""
+    rows = np.flatnonzero(seen.reshape(shape).any(axis=1))
+    count = min(len(rows), max(SAMPLE_WINDOWS * len(rows) // max(int(seen.sum()), 1), LEAST_ROWS))
+    chosen = np.zeros(shape, dtype=bool)
+    chosen[rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]] = True
+    return np.flatnonzero(seen & chosen.ravel())
 
 
 def _by_relief(strip: Strip, state: StripState, star: Star) -> Array:
