@@ -671,7 +671,7 @@ def descend(
 
 
 def _corrected(curvature: Array, moved: Array, turned: Array) -> Array:
-    """The curvature once a move was seen to turn the slope (BFGS), damped so that it stays positive definite."""
+    """The curvature once a move was seen to turn the slope (BFGS), damped: it stays positive definite."""
     pushed = curvature @ moved
     expected, along = float(moved @ pushed), float(moved @ turned)
     if along < 0.2 * expected:
