@@ -468,7 +468,10 @@ def _match(
     filters: Filters = {}
     for record in before if learned else ():
         pairs = ((record.star.hub, image) for image in record.star.images)
-        filters.update(zip(pairs, record.filters, strict=True))
+        # where too little could be seen, thinned or not compensated yet, it is tried again
+        filters.update(
+            (pair, one) for pair, one in zip(pairs, record.filters, strict=True) if one is not None
+        )
     for hub, partners, grid in hubs:
         done, total = sum(windows[: len(out)]), sum(windows)
         star = match_star(

@@ -167,13 +167,21 @@ def _without_unusable(
     """
     from scipy import ndimage
 
-    good = (~unusable).astype(np.float32)
-    mean = np.float32(pixels[~unusable].mean() if good.any() else 0.0)
-    share = ndimage.uniform_filter(good, _FILL, mode="nearest")
-    around = ndimage.uniform_filter((pixels - mean) * good, _FILL, mode="nearest")
-    filled = mean + np.where(share > 1e-3, around / np.maximum(share, 1e-3), 0.0)
-    grown = ndimage.maximum_filter(unusable, 2 * _GROW + 1, mode="nearest")
-    return np.where(unusable, filled, pixels).astype(np.float32), grown
+    filled, grown = pixels.copy(), np.zeros(unusable.shape, dtype=np.bool_)
+    mean = np.float32(pixels[~unusable].mean() if not unusable.all() else 0.0)
+    reach = _FILL // 2 + 1
+    columns = np.flatnonzero(unusable.any(axis=0))
+    for run in np.split(columns, np.flatnonzero(np.diff(columns) > 2 * reach) + 1):
+        # columns near none are left as they are
+        part = slice(max(int(run[0]) - reach, 0), int(run[-1]) + reach + 1)
+        bad = unusable[:, part]
+        good = (~bad).astype(np.float32)
+        share = ndimage.uniform_filter(good, _FILL, mode="nearest")
+        around = ndimage.uniform_filter((pixels[:, part] - mean) * good, _FILL, mode="nearest")
+        fill = mean + np.where(share > 1e-3, around / np.maximum(share, 1e-3), 0.0)
+        filled[:, part] = np.where(bad, fill, pixels[:, part])
+        grown[:, part] = ndimage.maximum_filter(bad, 2 * _GROW + 1, mode="nearest")
+    return filled, grown
 
 
 def _read(
