@@ -31,6 +31,11 @@ REACH = TAPS // 2
 SLACK = 0.25
 #: px between places where a map is computed exactly, where `lattice_map` makes it.
 _LATTICE = 8.0
+#: px by which a map may bend away from a straight line between the places where it is evaluated, where these
+#: are farther apart than asked for.
+STRAIGHT = 5e-4
+#: Spacing (columns) of maps that are smooth.
+SMOOTH = 64
 #: Columns on either side of a rough one at which the map is evaluated more often.
 ROUGH = 6
 #: Highest frequency (cycles per line) that must come through between uneven lines, as between even ones.
@@ -281,12 +286,7 @@ class WarpedImage:
             First and one past the last line (column) of the grid.
         """
         out = np.full((lines[1] - lines[0], columns[1] - columns[0]), np.nan, dtype=np.float32)
-        inner = np.arange(columns[0], columns[1], self.spacing)
-        nodes = np.append(inner, columns[1])
-        if len(self.rough):
-            about = np.rint(np.array(self.rough)[:, None] + np.arange(-ROUGH, ROUGH + 1, 2)).astype(np.int64)
-            nodes = np.union1d(nodes, about[(about > columns[0]) & (about < columns[1])])
-        position = self.mapping(np.arange(*lines, dtype=np.float64), nodes.astype(np.float64))
+        nodes, position = self._positions(lines, columns)
         usable = np.isfinite(position)
         if not usable.any():
             return out
@@ -306,6 +306,35 @@ class WarpedImage:
         if bad is not None:
             out[_hit(bad, moved, nodes - columns[0])] = np.nan
         return out
+
+    def _positions(self, lines: tuple[int, int], columns: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
+        """Columns at which the map is evaluated, and where it leads on each line, (lines, columns, 2).
+
+        Twice as far apart as `spacing` where the map is straight enough; of relief it never is.
+        """
+        rows = np.arange(*lines, dtype=np.float64)
+        wide = self.spacing >= SMOOTH and columns[1] - columns[0] >= 8 * self.spacing
+        for spacing in (2 * self.spacing, self.spacing)[0 if wide else 1 :]:
+            nodes = np.append(np.arange(columns[0], columns[1], spacing), columns[1])
+            if len(self.rough):
+                about = np.rint(np.array(self.rough)[:, None] + np.arange(-ROUGH, ROUGH + 1, 2))
+                about = about.astype(np.int64)
+                nodes = np.union1d(nodes, about[(about > columns[0]) & (about < columns[1])])
+            position = self.mapping(rows, nodes.astype(np.float64))
+            if spacing == self.spacing or self._straight(nodes, position):
+                break
+        return nodes, position
+
+    @staticmethod
+    def _straight(nodes: NDArray[np.int64], position: Array) -> bool:
+        """Whether the map runs with the pixels between nodes, and is as straight as `STRAIGHT` asks for."""
+        if not np.isfinite(position).all():
+            return False
+        apart = np.diff(nodes)[:, None]
+        step = np.diff(position, axis=1)
+        beside = np.maximum(np.abs(step[..., 0]), np.abs(step[..., 1] - apart[:, 0]))
+        bend = np.abs(np.diff(step / apart, axis=1)) * np.minimum(apart[1:], apart[:-1])
+        return bool(beside.max() <= 0.5 * SLACK and bend.max() < 8.0 * STRAIGHT)
 
     def _piece(
         self, lines: tuple[int, int], columns: tuple[int, int]

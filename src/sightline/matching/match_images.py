@@ -231,13 +231,24 @@ def _inside(
 def _share_in_windows(
     flags: NDArray[np.bool_], corner: NDArray[np.int64], window: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """Share of flagged pixels in each window, by summed areas."""
-    total = np.zeros((flags.shape[0] + 1, flags.shape[1] + 1), np.int64)
-    np.cumsum(np.cumsum(flags, axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])
-    low = np.clip(corner, 0, np.array(flags.shape) - np.array(window))
-    y, x = low[:, 0], low[:, 1]
+    """Share of flagged pixels in each window, by summed areas of the columns that have any."""
     h, w = window
-    return np.asarray((total[y + h, x + w] - total[y, x + w] - total[y + h, x] + total[y, x]) / (h * w))
+    low = np.clip(corner, 0, np.array(flags.shape) - np.array(window))
+    out = np.zeros(len(corner))
+    before = np.concatenate([[0], np.cumsum(flags.any(axis=0))])
+    some = np.flatnonzero(before[low[:, 1] + w] > before[low[:, 1]])
+    if not len(some):
+        return out
+    # few windows stand where anything is flagged: at the sides of an image, beside a cloud
+    columns = np.zeros(flags.shape[1], dtype=bool)
+    for x in np.unique(low[some, 1]):
+        columns[x : x + w] = True
+    place = np.cumsum(columns) - 1
+    total = np.zeros((flags.shape[0] + 1, int(columns.sum()) + 1), np.int64)
+    np.cumsum(np.cumsum(flags[:, columns], axis=0, dtype=np.int64), axis=1, out=total[1:, 1:])
+    y, x = low[some, 0], place[low[some, 1]]
+    out[some] = (total[y + h, x + w] - total[y, x + w] - total[y + h, x] + total[y, x]) / (h * w)
+    return out
 
 
 def _match_block(
