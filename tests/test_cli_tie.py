@@ -152,7 +152,9 @@ def test_a_strip_of_one_detector_gets_control_points_with_true_sigma(scene, tmp_
     out = tmp_path / "out"
     assert tie(scene, "strip.toml", out) == 0
     error, sigma, rows = misses(out, lambda r: ground_of(r["line"], r["column"]))
-    assert list(rows.dtype.names) == ["x", "y", "z", "sigma", "image", "line", "column"]
+    assert list(rows.dtype.names)[:7] == ["x", "y", "z", "sigma", "image", "line", "column"]
+    own = np.stack([rows["sigma_column"], rows["sigma_line"]], axis=1)  # a pixel is 1 m
+    assert 0.4 < (error**2 / own**2).mean() < 1.7 and set(rows["lines"]) == {4.0}
     # 2 x 40 numbers and more, 1 +- 0.16, four times that; cubics of the map and the kernel keep to it
     assert len(rows) >= 40 and 0.4 < (error**2 / sigma[:, None] ** 2).mean() < 1.7
     assert (rows["z"] == 0.0).all() and set(rows["image"]) == {"PAN"}
@@ -160,6 +162,36 @@ def test_a_strip_of_one_detector_gets_control_points_with_true_sigma(scene, tmp_
     check_summary((out / "summary.json").read_text())
     # +pitch looks further ahead: the same ground comes earlier; +roll looks left: columns too
     assert summary["images"][0]["offset_px"] == pytest.approx([31.0, -24.0], abs=3.0)
+
+
+def test_a_strip_of_one_detector_is_recovered_from_them(scene, tmp_path, capsys):
+    assert run(["recover", str(scene / "strip.toml"), "--out", str(tmp_path / "r")]) == 2
+    assert "add a [[band]]" in capsys.readouterr().err
+    tied, found = tmp_path / "tied", tmp_path / "found"
+    assert tie(scene, "strip.toml", tied, "--points", "60") == 0
+    toml = tied / "acquisition.toml"
+    exact = toml.read_text().replace(
+        'name = "PAN"', 'name = "PAN"\noffset_sigma_px = 0.0\nrotation_sigma = 0'
+    )
+    toml.write_text(exact)
+    assert run(["check", str(toml)]) == 0
+    assert "what control points show alone" in capsys.readouterr().out
+    assert run(["recover", str(toml), "--out", str(found)]) == 0
+    check_summary((found / "summary.json").read_text())
+    rows = np.genfromtxt(found / "motion.csv", delimiter=",", names=True)
+    for axis, angle in zip(("roll", "pitch", "yaw"), ANGLES, strict=True):
+        z = (rows[axis] - angle) / rows[f"sigma_absolute_{axis}"]
+        # a constant motion: one number per axis, and the first order of rays as they are written out above
+        assert np.isfinite(z).all() and np.abs(z).mean() < 4.0
+    # known far better than a pixel: 60 matches of some hundredths
+    assert np.abs(rows["pitch"] - ANGLES[1]).max() < 0.05 * IFOV
+    opened = sightline.open_result(found)
+    assert opened.image_names == ("PAN",) and not opened.differences
+    assert run(["register", str(toml), "--motion", str(found), "--out", str(tmp_path / "g")]) == 0
+    with rasterio.open(tmp_path / "g" / "PAN.tif") as written:
+        np.testing.assert_array_equal(written.read(1), np.load(scene / "PAN.npy"))
+    export = ["export", str(found), "--acquisition", str(toml)]
+    assert run([*export, "--to", "shifts", "--out", str(tmp_path / "shifts")]) == 0
 
 
 def test_the_file_beside_them_is_the_acquisition_with_its_control_points(scene, tmp_path):

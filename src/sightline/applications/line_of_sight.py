@@ -28,10 +28,17 @@ from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
 from sightline.motion.measure.plan import MatchingPlan, hub_windows
 from sightline.motion.measure.stars import Filters, StarRecord, match_star
-from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
+from sightline.motion.results import (
+    ControlFit,
+    LineOfSight,
+    StaticEstimate,
+    TimeCovariance,
+    without_common_ground,
+)
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.alternatives import alternative
 from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
+from sightline.motion.strip.control_only import alone, check_alone, solve_by_control
 from sightline.motion.strip.estimate import (
     DRAFT_ROUNDS,
     ROUNDS,
@@ -59,7 +66,12 @@ from sightline.motion.strip.viewing_axes import (
     turned_spectra,
     turned_star,
 )
-from sightline.motion.strip.warnings import observed_lines, strip_warnings
+from sightline.motion.strip.warnings import (
+    control_warnings,
+    controlled_lines,
+    observed_lines,
+    strip_warnings,
+)
 from sightline.motion.strip.withheld import judged, withheld_numbers, without_pairs
 from sightline.result import makes_result
 from sightline.stages import Stages
@@ -125,7 +137,7 @@ def recover_line_of_sight(
     Parameters
     ----------
     bands : sequence of Band
-        Two or more images of one scene, a lag apart, with their nominal cameras.
+        Two or more images of one scene, a lag apart, with their nominal cameras; or one, with control points.
     surface : Surface
         What the lines of sight meet; a DEM removes the parallax of relief.
     height_sigma : float
@@ -149,19 +161,24 @@ def recover_line_of_sight(
     Raises
     ------
     InputError
-        Fewer than two bands, or images that do not fit their cameras.
+        One band without control points, or images that do not fit their cameras.
     EstimationError
-        The images have no ground in common, or cannot be matched.
+        The images have no ground in common, or cannot be matched; too few control points of one band.
 
     Notes
     -----
     S1, figure 15. The motion is the joint maximum a posteriori of roll, pitch, yaw, band offsets and
     rotations (``motion/strip/joint.py``) with priors by marginal likelihood (``motion/strip/hyper.py``); with
-    ``options.method`` that of one of S1's own estimators (``motion/strip/methods.py``).
+    ``options.method`` that of one of S1's own estimators (``motion/strip/methods.py``). That of one band is
+    what its control points say, and between them what their spectrum lets believe
+    (``motion/strip/control_only.py``): the height's sigma has no part in it.
     """
     options = options or RecoverOptions()
     tell = progress or silent
     strip, options = ready_strip(bands, surface, sensors, control_points, known, options)
+    if alone(strip.bands):
+        tell("from control points to the motion")
+        return controlled_line_of_sight(strip)
     stages = stages or Stages()
     stages.depend([bands, surface, height_sigma, sensors, control_points, known, options])
     strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell, stages)
@@ -183,6 +200,7 @@ def ready_strip(
 
     The options come back with the rows of windows that the strip is matched in.
     """
+    check_alone(bands, control_points, options)
     options = suited(options, bands, surface)
     strip = replace(
         prepared(bands, surface, options),
@@ -255,6 +273,12 @@ def joint_line_of_sight(
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))
     warnings = (*result.warnings, *warnings)
     return strip, state, replace(result, differences=differences, warnings=warnings)
+
+
+def controlled_line_of_sight(strip: Strip) -> LineOfSight:
+    """The motion of a strip of one band that was prepared and checked, from its control points."""
+    strip, state, fit = solve_by_control(strip)
+    return replace(_result(strip, state, (), (0, 0), strip, fit), control=fit)
 
 
 def _resumed(stages: Stages, names: Sequence[str]) -> _Passed | None:
@@ -524,7 +548,12 @@ def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
 
 
 def _result(
-    strip: Strip, state: StripState, changes: tuple[float, ...], window: tuple[int, int], draft: Strip
+    strip: Strip,
+    state: StripState,
+    changes: tuple[float, ...],
+    window: tuple[int, int],
+    draft: Strip,
+    fit: ControlFit | None = None,
 ) -> LineOfSight:
     """The last state as a result at the lines of the first band, gone on to all exposures."""
     estimate, lines = state.estimate, strip.lines()
@@ -543,7 +572,7 @@ def _result(
         StaticEstimate(p.name, p.unit, float(v), float(s), p.sigma)
         for p, v, s in zip(strip.parameters, estimate.statics, estimate.statics_sigma, strict=True)
     )
-    observed = observed_lines(strip, state, t)
+    observed = observed_lines(strip, state, t) if fit is None else controlled_lines(strip, fit, t)
     cameras = tuple(strip.body_cameras(estimate.nodes, estimate.statics))
     records = [replace(r, star=turned_star(r.star, turn)) for r in state.records]
     return LineOfSight(
@@ -573,5 +602,7 @@ def _result(
         lines=lines,
         warnings=strip_warnings(
             strip, state, motion, observed, list(changes), DRAFT_LEFT if draft.draft else 1.0
-        ),
+        )
+        if fit is None
+        else control_warnings(strip, state, motion, observed, fit),
     )

@@ -30,6 +30,7 @@ from sightline.matching.coarse import CHANCE, common_shift, learn_shifts
 from sightline.matching.on_geometry import PairOnGeometry, lattice_points, middle_of
 from sightline.matching.select import spread_subset
 from sightline.motion.measure.predict import MovingCamera, turned
+from sightline.motion.sensors import ControlSightings
 from sightline.products.cube_grid import MapSystem
 from sightline.result import Result, makes_result
 
@@ -43,8 +44,10 @@ SEARCH = 200.0
 #: Control points of a band and of a frame, at most: more would tie single lines, of which a window only shows
 #: the mean, and nothing is gained for what is slow. Frames of a flight that are tried.
 BAND_POINTS, FRAME_POINTS, IMAGES = 100, 30, 40
-#: px; lines and columns of windows of bands: a control point is of an instant, a window shows the mean of its
-#: lines, and microvibration moves them.
+#: The same of a strip of one band, whose control points alone tell how it moved.
+ALONE_POINTS = 2000
+#: px; lines and columns of windows of bands: a window shows the mean of its lines, and microvibration moves
+#: them.
 BAND_WINDOW = (4, 100)
 #: px at the edge of the field; turns about the vertical that are tried where nothing is found without.
 TURNS = tuple(sign * px for px in range(8, 57, 8) for sign in (1, -1))
@@ -88,6 +91,10 @@ class ReferenceTie(Result):
         Why others were not.
     places : (N, 3)
         `ground` in the axes of tables.
+    ground_sigma : (N,)
+        m, per coordinate: the reference's own alone, which goes with `match_sigma_px` of each pixel.
+    lines : (N,) or None
+        Lines of a band that each pixel's place is the mean of; None of frames.
     warnings : tuple of str
     """
 
@@ -102,7 +109,21 @@ class ReferenceTie(Result):
     matches: dict[int, RasterMatches]
     left_out: dict[int, str]
     places: Array
+    ground_sigma: Array
+    lines: Array | None = None
     warnings: tuple[str, ...] = ()
+
+    def sightings(self) -> ControlSightings:
+        """The control points as `recover_line_of_sight` and `recover_frame_attitude` take them.
+
+        Those of bands have a sigma of each pixel coordinate: windows are narrow along the lines, wide across.
+        """
+        if self.lines is None:
+            return ControlSightings(self.ground, self.sigma, self.image, self.pixels, self.control_sigma_px)
+        return ControlSightings(
+            self.ground, self.ground_sigma, self.image, self.pixels, self.control_sigma_px, self.lines,
+            np.maximum(self.match_sigma_px, _LEAST_PX),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +194,8 @@ def tie_to_reference(
     window : (int, int), optional
         px of windows; (4, 100) of push-brooms, (32, 32) of frames.
     points : int, optional
-        Control points of an image, at most: the best known, evenly spread. 100 of a band, 30 of a frame.
+        Control points of an image, at most: the best known, evenly spread. 100 of a band, 30 of a frame; a
+        strip of one band is recovered from them alone, and asks for more (2000).
     reference_sigma : float
         m, per coordinate; of the reference's places, each for itself.
     dem_sigma : float
@@ -232,12 +254,14 @@ def tie_to_reference(
     common = max(float(np.quantile(mean_px, 0.1)), _LEAST_PX)
     extra = np.maximum(mean_px**2 - common**2, 0.0) * gsd**2
     # every row needs a sigma; a thousandth of a pixel is none
-    sigma = np.sqrt(base**2 + extra + (1e-3 * gsd) ** 2)
+    own = np.hypot(base, 1e-3 * gsd)
+    sigma = np.sqrt(own**2 + extra)
+    bands = all(map(_is_band, cameras))
     said = tuple(f"{labels[k]}: left out: {text}" for k, (_, text) in left.items())
     return ReferenceTie(
         labels, of_image, pixels, ground, sigma, common, sigma_px, offset, found,
         {k: text for k, (_, text) in left.items()}, ground if to_table is None else to_table(ground),
-        (*_warnings(found, labels), *said),
+        own, _window_lines(of_image, found) if bands else None, (*_warnings(found, labels), *said),
     )  # fmt: skip
 
 
@@ -365,6 +389,11 @@ def _affine(points: Array, values: Array, weights: Array) -> Callable[[Array], A
         return out if len(solution) == 1 else out + ((pixels - middle) / scale) @ solution[1:]
 
     return at
+
+
+def _window_lines(of_image: NDArray[np.intp], found: dict[int, RasterMatches]) -> Array:
+    """(N,) lines of the window of each control point."""
+    return np.array([found[k].window[0] for k in of_image.tolist()], dtype=np.float64)
 
 
 def _chosen(matches: RasterMatches, count: int) -> NDArray[np.intp]:

@@ -84,7 +84,18 @@ def recover(
         )
     for sentence in withheld_words(summary):
         say(sentence)
-    matches = summary["matches"]
+    control, matches = summary["control"], summary["matches"]
+    if control is not None:
+        rms, expected = control["residual_rms_px"], control["residual_sigma_px"]
+        say(
+            f"control points lay {control['residual_rms_before_px']:.4f} px rms off by the camera as given, "
+            f"{rms:.4f} px by what was found, where their own sigma asks for {expected:.4f} px at most"
+        )
+        say(
+            f"from {control['kept']} of {control['points']} control points; {out / 'motion.csv'}, "
+            f"{out / 'report.html'}"
+        )
+        return
     say(f"from {matches['kept']} of {matches['tried']} windows; {out / 'motion.csv'}, {out / 'report.html'}")
 
 

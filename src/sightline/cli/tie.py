@@ -74,7 +74,8 @@ def tie(
             "--points",
             metavar="N",
             min=1,
-            help="Control points of an image, at most (100 of a band, 30 of a frame).",
+            help="Control points of an image, at most: 100 of a band, 2000 where it is the only one, 30 of a "
+            "frame.",
         ),
     ] = None,
     workers: Workers = None,
@@ -85,7 +86,7 @@ def tie(
     """Find control points, with sigma, between images and a reference orthoimage."""
     import time
 
-    from sightline.applications.reference_tie import IMAGES, SEARCH, tie_to_reference
+    from sightline.applications.reference_tie import ALONE_POINTS, IMAGES, SEARCH, tie_to_reference
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.errors import naming
@@ -98,6 +99,8 @@ def tie(
         report("reading the images, the reference and the DEM")
         tied = load_tied(acquisition)
         chosen = chosen_images(tied, image or [], IMAGES)
+        if points is None and tied.kind == "acquisition" and len(tied.names) == 1:
+            points = ALONE_POINTS
         ortho = load_raster(reference, band, mask)
         ground = read_ground(dem, tied, geoid)
         with naming(acquisition):

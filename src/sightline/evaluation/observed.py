@@ -66,7 +66,8 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
     an error of one-sided density ``2 / (R |G|^2 W^2)``, G that of its lag and W of its window; densities of
     several pairs add as their inverses (the error of a shared image is counted as if it were not shared,
     which moves a band's edge by less than its own width). Over a time T the amplitude of a tone then has the
-    variance ``2 / (T sum of R |G|^2 W^2)``.
+    variance ``2 / (T sum of R |G|^2 W^2)``. Control points, where they alone carry the motion, bring their
+    information about the angles themselves, up to half the rate at which they stand.
     """
     f = np.asarray(frequency, dtype=np.float64)
     total = np.zeros((len(f), 3))
@@ -87,6 +88,11 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
                     here = np.unique(np.concatenate([here, averaged_away([*stages[0], *stages[1]], upper)]))
             total += shape[:, None] * information
             blind[star.hub, image] = here
+    if result.control is not None:
+        # instants of the angles themselves: seen from 0 Hz to half their rate
+        points = result.control.t[result.control.kept]
+        nyquist = 0.5 * max(len(np.unique(points)) - 1, 0) / max(float(np.ptp(points)), 1e-12)
+        total += (f <= nyquist)[:, None] * result.control.information
     with np.errstate(divide="ignore"):
         sigma = np.sqrt(2.0 / total)
         margin = SEEN_TONE_PX * result.scale / (SEEN_SIGMAS * sigma)

@@ -24,8 +24,8 @@ class ReferenceTies(ResultKind):
     types = (ReferenceTie,)
     table, index, files = "control_points", ("point",), TIE_FILES
     units = {
-        **dict.fromkeys(("x", "y", "z", "sigma"), "m"),
-        **dict.fromkeys(("line", "column", "offset_line", "offset_column"), "px"),
+        **dict.fromkeys(("x", "y", "z", "sigma", "sigma_ground"), "m"),
+        **dict.fromkeys(("line", "column", "lines", "offset_line", "offset_column"), "px"),
         **dict.fromkeys(("sigma_line", "sigma_column"), "px"),
     }
 
@@ -109,6 +109,10 @@ class ReferenceTies(ResultKind):
                 "control_sigma_px": float(summary["control_sigma_px"]),
                 "match_sigma_px": both(ties, "sigma_line", "sigma_column"),
                 "offset_px": both(ties, "offset_line", "offset_column"),
+                "ground_sigma": np.asarray(
+                    points["sigma_ground" if "sigma_ground" in points else "sigma"], dtype=np.float64
+                ),
+                "lines": np.asarray(points["lines"], dtype=np.float64) if "lines" in points else None,
                 "warnings": tuple(summary["warnings"]),
             }
 

@@ -88,6 +88,32 @@ class NamedMethod:
     stated_sigma: Array
 
 
+@dataclass(frozen=True, eq=False)
+class ControlFit:
+    """Control points of a strip of one band, which carry its motion alone.
+
+    Attributes
+    ----------
+    t : (N,)
+        s; when each was exposed.
+    before_px, after_px : (N, 2)
+        Where it was seen, less where the nominal camera, and the recovered one, sees it: (line, column).
+    sigma_px : (N, 2)
+        Of that, as given: of the pixel, and of the place on the ground.
+    information : (3,)
+        rad^-2; of all about roll, pitch and yaw.
+    kept : (N,) bool
+        False where the others contradict it.
+    """
+
+    t: Array
+    before_px: Array
+    after_px: Array
+    sigma_px: Array
+    information: Array
+    kept: NDArray[np.bool_]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LineOfSight(Result):
     """Result of S1.
@@ -139,6 +165,8 @@ class LineOfSight(Result):
     withheld : tuple of WithheldAxis
         Pairs of bands that the estimate did not use, against what it predicts of them: those left out on
         demand, or a sample of those that three bands or more can do without. None of frames.
+    control : ControlFit or None
+        Of a strip of one band: what its control points say.
     warnings : tuple of str
     """
 
@@ -167,6 +195,7 @@ class LineOfSight(Result):
     relief: RowRelief | None = None
     lines: NDArray[np.int64] | None = None
     withheld: tuple[WithheldAxis, ...] = ()
+    control: ControlFit | None = None
     warnings: tuple[str, ...] = ()
 
     @property

@@ -62,6 +62,10 @@ class ControlSightings:
         (line, column).
     sigma_px : float
         1-sigma of each pixel coordinate: by correlation a tenth of a pixel, by hand more.
+    lines : (N,) or None
+        Lines of a band that each place is the mean of, as windows show it; None: each is of its own line.
+    each_px : (N, 2) or None
+        px; of line and column of each, in the place of `sigma_px`, where they are known one by one.
     """
 
     position: Array
@@ -69,3 +73,11 @@ class ControlSightings:
     image: NDArray[np.intp]
     pixels: Array
     sigma_px: float = 0.1
+    lines: Array | None = None
+    each_px: Array | None = None
+
+    def pixel_sigma(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Array:
+        """(K, 2) px; of line and column of the points `chosen`."""
+        if self.each_px is None:
+            return np.full((len(self.sigma), 2), self.sigma_px)[chosen]
+        return self.each_px[chosen]

@@ -89,6 +89,11 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     known = np.isfinite(sizes["after"]) & np.isfinite(sizes["before"])
     given = all(band["placed_by"] == "cameras" for band in summary["bands"])
     by = "by their cameras as given" if given else "with the motion and the band offsets that were recovered"
+    if len(summary["bands"]) == 1:
+        return [
+            f"{summary['onto']} is the only band: it is written as it is, on its own grid. Its lines "
+            "have moved as motion.csv of the recovery says; `sightline export` gives that to other programs."
+        ]
     out = [f"{len(summary['bands'])} bands were resampled onto {summary['onto']}, each once, {by}."]
     if known.any():
         worst = int(np.nanargmax(np.where(known, sizes["after"], np.nan)))

@@ -5,6 +5,7 @@ Not here: how they are found (``motion/tones.py``, ``evaluation/observed.py``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -97,7 +98,8 @@ def visibility_figure(result: LineOfSight, seen: MatchedDirections, names: Seque
         below.add(Points(x=x, y=panel_y, name=name, key=False, symbol="tick", size=12, colour=MUTED))
     panel.y.title, panel.y.log = "smallest tone seen (px)", True
     panel.y.low = 10.0 ** (float(np.log10(smallest.min())) - 0.2)
-    panel.y.high = 10.0 ** min(max(float(np.log10(np.percentile(smallest, 99.5))), 0.0), 2.0)
+    largest = float(np.percentile(np.minimum(smallest, _LARGEST), 99.5))
+    panel.y.high = 10.0 ** min(max(math.log10(largest), 0.0), 2.0)
     below.y.title, below.y.grid = "blind alone", False
     below.y.ticks = [(float(k), name) for k, (name, _) in enumerate(pairs)]
     below.y.low, below.y.high = -0.6, len(pairs) - 0.4

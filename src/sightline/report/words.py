@@ -227,6 +227,13 @@ def _number(value: float, form: str) -> str:
 
 def _what(result: LineOfSight, summary: Mapping[str, Any]) -> str:
     matches, t = summary["matches"], result.motion.t
+    if result.control is not None:
+        kept = int(result.control.kept.sum())
+        return (
+            f"{result.image_names[0]} is the only image: what moved it was recovered from {kept:,} control "
+            f"points, at {len(t):,} instants over {t[-1] - t[0]:.3g} s. Between control points the spectrum "
+            "that they show says how far the motion may have gone; sigma grows there."
+        )
     share = 100.0 * matches["kept"] / max(matches["tried"], 1)
     names = ", ".join(result.image_names[:6]) + (", …" if len(result.image_names) > 6 else "")
     return (
@@ -247,6 +254,13 @@ def _how_well(result: LineOfSight) -> str:
 
 
 def _residuals(summary: Mapping[str, Any]) -> str:
+    control = summary.get("control")
+    if control is not None:
+        sizes = (digits(control[f"residual_{key}_px"], 3) for key in ("rms_before", "rms", "sigma"))
+        return (
+            "Before, control points lay {} px rms from where the camera as given saw them; with the "
+            "recovered motion {} px are left, where their own sigma asks for {} px at most.".format(*sizes)
+        )
     before, after, expected = (
         digits(np.nan if summary[key] is None else summary[key], count)
         for key, count in (
@@ -361,6 +375,11 @@ def _hidden(result: LineOfSight) -> str:
         if isinstance(result, SpinAttitude):
             unknown = "rate and axis of the spin and an unknown lens"
         imitated = f", and unknown {unknown} imitate the rest"
+    if result.control is not None:
+        return (
+            f"Figures and sigmas here are of the motion less {grouped(_left_out(result))}, as those of "
+            f"strips of several bands; {known}."
+        )
     return (
         f"Images compared with each other cannot show {grouped(_left_out(result))}: a constant changes "
         f"nothing between them{imitated}; {known}. Figures and sigmas here are of the motion less "

@@ -185,6 +185,7 @@ def _from(lowest: float, bands: Passbands) -> Passbands:
 def _understood(acquisition: Acquisition) -> list[str]:
     """What the file says, in the words of the conventions."""
     kind = "bands" if acquisition.bands else "frames"
+    kind = kind if len(acquisition.names) > 1 else kind[:-1]
     epoch = epoch_words(acquisition.epoch)
     lines = [
         f"{acquisition.name}: {len(acquisition.names)} {kind}, platform {acquisition.platform}, "
@@ -286,7 +287,9 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
     if acquisition.height_sigma > 0.0:
         lines.append("a DEM: the height's sigma widens that of pitch")
     free = [band.name for band in acquisition.bands if band.offset_sigma_px > 0.0]
-    if free:
+    if free and len(acquisition.bands) == 1:
+        lines.append(f"exact focal-plane offset of {free[0]}: sigma_absolute cannot be less than its sigma")
+    elif free:
         lines.append(f"exact focal-plane offsets of {', '.join(free)}: a steady drift is hidden by them")
     return lines
 
@@ -300,6 +303,13 @@ def _observable(
 ) -> list[str]:
     """What the pairs can see, alone and together."""
     lines = []
+    control = acquisition.control_points
+    if len(acquisition.bands) == 1 and control is not None:
+        rate = len(control.sigma) / max(_duration(acquisition), 1e-9)
+        lines.append(
+            f"what control points show alone: {len(control.sigma)} of them, of motions up to about "
+            f"{min(0.5 * rate, upper):.3g} Hz; the rest is left to their scatter"
+        )
     for pair in pairs:
         if pair.lag:
             named = _named(_blind(acquisition, pair, upper))

@@ -53,6 +53,7 @@ from sightline.io.formats.line_scan import shared_grid
 from sightline.matching.select import Selection
 from sightline.motion.frames.passes import FrameOptions
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
+from sightline.motion.strip.control_only import one_band_words
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.result import set_source
@@ -134,7 +135,8 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         *(frame.camera for frame in frames),
     ]
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
-    surface, still = build_surface(config, files, cameras), _still(config, files)
+    surface, control = build_surface(config, files, cameras), read_control(config, files, names)
+    still = _still(config, files, alone=control is None)
     bands = bent_bands(config, bands, surface, files)
     cameras[: len(bands)] = [band.camera for band in bands]
     if isinstance(config.platform, SpinPlatform) and frames:
@@ -160,7 +162,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         surface=surface,
         height_sigma=config.surface.height_sigma,
         sensors=sensors,
-        control_points=read_control(config, files, names),
+        control_points=control,
         known_motion=read_known_motion(config, files),
         lens=lens_knowledge(config, frames[0].image.shape if frames else None),
         matching=read_matching(config, files, names),
@@ -185,13 +187,10 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
     )
 
 
-def _still(config: AcquisitionFile, files: InputFolder) -> str:
-    """Why the images of a file cannot hold motion; empty where they may."""
+def _still(config: AcquisitionFile, files: InputFolder, *, alone: bool) -> str:
+    """Why the images of a file cannot hold motion; empty where they may. `alone`: without control points."""
     if len(config.band) == 1:
-        return (
-            f"1 [[band]] ({config.band[0].name}): motion is seen between two or more bands that show the "
-            "same ground at different times; add a [[band]] of the same strip"
-        )
+        return one_band_words(config.band[0].name) if alone else ""
     grid = None if config.frame else shared_grid(files.grids)
     return "" if grid is None else grid.reason
 
@@ -304,5 +303,5 @@ def read_control(
     numbers = np.array([names.index(name) for name in given.image], dtype=np.intp)
     return ControlSightings(
         to_world(given.position, config), given.sigma, numbers, given.pixels,
-        config.acquisition.control_sigma_px,
+        config.acquisition.control_sigma_px, given.lines, given.each_px,
     )  # fmt: skip

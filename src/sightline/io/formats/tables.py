@@ -51,6 +51,10 @@ MOTION = (
 )
 SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observed") for axis in ANGLES))
 
+#: Lines of the tallest window that a control point may be the mean of.
+MOST_LINES = 10_000.0
+#: Sigmas of a control point by their causes: px of the two pixel coordinates, m of each of the ground.
+_EACH = ["sigma_line", "sigma_column", "sigma_ground"]
 #: Columns that hold instants.
 _TIMES = ("t", "t_start", "t_end")
 _QUOTE = '"'
@@ -424,6 +428,10 @@ class ControlTable:
         (line, column).
     sigma_px : (N,) or None
         px, of each pixel, where the table says it.
+    lines : (N,) or None
+        Lines that each place is the mean of, where the table says it.
+    each_px : (N, 2) or None
+        px; of line and of column, where the table says it, and in `sigma` the ground's own.
     """
 
     position: Array
@@ -432,15 +440,19 @@ class ControlTable:
     image: list[str]
     pixels: Array
     sigma_px: Array | None
+    lines: Array | None = None
+    each_px: Array | None = None
 
 
 @reads("a CSV table")
 def read_control_points(path: Path, *, stereo: bool = False) -> ControlTable:
-    """``x,y,z,sigma,image,line,column``, and of stereo images ``x,y,z,sigma`` with less or more.
+    """``x,y,z,sigma,image,line,column[,lines][,sigma_line,sigma_column,sigma_ground]``; of stereo otherwise.
 
-    Those may have ``point`` in place of a pixel, ``camera,shot`` in place of ``image``, and ``sigma_px``.
+    Those have ``x,y,z,sigma``, and may have ``point`` in place of a pixel, ``camera,shot`` in place of
+    ``image``, and ``sigma_px``.
     """
-    header = header_of(path) if stereo else list(CONTROL_POINTS)
+    said = header_of(path)
+    header = said if stereo else list(CONTROL_POINTS)
     if "point" in header:
         table = read_columns(path, (*CONTROL, "point"))
         position, number = _matrix(table, "xyz"), _matrix(table, ["point"])[:, 0]
@@ -451,15 +463,47 @@ def read_control_points(path: Path, *, stereo: bool = False) -> ControlTable:
             f"{path}: the header is {','.join(header)!r}; besides {','.join(CONTROL)} give point (of the "
             'table of points), or camera,shot,line,column, or image,line,column with image = "camera/shot"'
         )
-    own = [name for name in ("sigma_px",) if name in header]
+    own = [name for name, where in (("sigma_px", header), ("lines", said)) if name in where]
+    own += [] if stereo or not {*_EACH} <= {*said} else _EACH
     table = read_columns(path, (*CONTROL, *named, "line", "column", *own), text=words)
     images = [str(name) for name in table[words[0]]]
     if words == ("camera",):
         images = [f"{name}/{float(shot)!r}" for name, shot in zip(images, table["shot"], strict=True)]
+    sigma = _sigma(path, table, " m")
+    if _EACH[2] in own:
+        sigma = _matrix(table, [_EACH[2]])[:, 0]
     return ControlTable(
-        _matrix(table, "xyz"), _sigma(path, table, " m"), None, images, _matrix(table, ("line", "column")),
-        np.asarray(table["sigma_px"], dtype=np.float64) if own else None,
+        _matrix(table, "xyz"), sigma, None, images, _matrix(table, ("line", "column")),
+        np.asarray(table["sigma_px"], dtype=np.float64) if "sigma_px" in own else None,
+        _window_lines(path, table) if "lines" in own else None,
+        _each_px(path, table) if _EACH[0] in own else None,
     )  # fmt: skip
+
+
+def _each_px(path: Path, table: Mapping[str, list[str] | Array]) -> Array:
+    """The columns sigma_line and sigma_column: positive everywhere, as sigma_ground is."""
+    sigma = _matrix(table, _EACH)
+    bad = np.flatnonzero((sigma <= 0.0).any(axis=1))
+    if bad.size:
+        row = int(bad[0])
+        values = ", ".join(f"{value:.6g}" for value in sigma[row])
+        raise FormatError(
+            f"{path}: row {row + 1}: {', '.join(_EACH)} = {values}; a 1-sigma error must be positive"
+        )
+    return sigma[:, :2]
+
+
+def _window_lines(path: Path, table: Mapping[str, list[str] | Array]) -> Array:
+    """The column lines: 1 or more everywhere."""
+    lines = _matrix(table, ["lines"])[:, 0]
+    bad = np.flatnonzero((lines < 1.0) | (lines > MOST_LINES))
+    if bad.size:
+        row = int(bad[0])
+        raise FormatError(
+            f"{path}: row {row + 1}: lines = {lines[row]:.6g}; 1 (the place is of its own line) to "
+            f"{MOST_LINES:g} are allowed, of which it is the mean"
+        )
+    return lines
 
 
 class ControlEntry(Protocol):
@@ -486,9 +530,15 @@ def control_points(listed: Sequence[ControlEntry], table: Path | None) -> Contro
     read = read_control_points(table)
     if not listed:
         return read
+    if read.each_px is not None:
+        raise FormatError(
+            f"{table}: has {', '.join(_EACH)} of each point, and [[control_point]] are listed beside it; "
+            "put all into the table"
+        )
+    lines = None if read.lines is None else np.concatenate([np.ones(len(listed)), read.lines])
     return ControlTable(
         np.concatenate([own.position, read.position]), np.concatenate([own.sigma, read.sigma]), None,
-        own.image + read.image, np.concatenate([own.pixels, read.pixels]), None,
+        own.image + read.image, np.concatenate([own.pixels, read.pixels]), None, lines,
     )  # fmt: skip
 
 

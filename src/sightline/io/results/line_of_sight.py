@@ -104,6 +104,7 @@ def write_result(
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
     if _is_strip(acquisition):
         write_smear(folder / "smear.csv", result, summary["microvibration"])
+    if result.differences:
         write_differences(folder / "differences.csv", result.differences, result.image_names)
     if result.relief is not None:
         write_relief(folder / RELIEF, result.relief)
@@ -223,6 +224,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "residual_sigma_px": _expected(result),
         "residual_rms_rejected_px": _rms(result, result.after_px, rejected=True),
         "matches": _matches(result),
+        "control": _control(result),
         "pairs": [_pair(result, k) for k in range(len(result.pairs))],
         "withheld": [vars(one) | {"pair": list(one.pair)} for one in result.withheld],
         "relief": _relief(result),
@@ -237,6 +239,16 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "sources": list(acquisition.sources),
         "inputs": acquisition.input_hashes(),
     }
+
+
+def _control(result: LineOfSight) -> dict[str, Any] | None:
+    """What control points of a strip of one band lay off, and lie off; None of other images."""
+    found = result.control
+    if found is None:
+        return None
+    sizes = {"rms_before": found.before_px, "rms": found.after_px, "sigma": found.sigma_px}
+    rms = {f"residual_{k}_px": float(np.sqrt(np.mean(px[found.kept] ** 2))) for k, px in sizes.items()}
+    return {"points": len(found.t), "kept": int(found.kept.sum()), **rms}
 
 
 def _relief(result: LineOfSight) -> dict[str, Any] | None:

@@ -36,6 +36,11 @@ def control_columns(tie: ReferenceTie) -> dict[str, Any]:
         "image": _names(tie),
         "line": tie.pixels[:, 0],
         "column": tie.pixels[:, 1],
+        **(
+            {}
+            if tie.lines is None
+            else {"lines": tie.lines, **_sigmas(tie), "sigma_ground": tie.ground_sigma}
+        ),
     }
 
 
@@ -47,9 +52,13 @@ def tie_columns(tie: ReferenceTie) -> dict[str, Any]:
         "column": tie.pixels[:, 1],
         "offset_line": tie.offset_px[:, 0],
         "offset_column": tie.offset_px[:, 1],
-        "sigma_line": tie.match_sigma_px[:, 0],
-        "sigma_column": tie.match_sigma_px[:, 1],
+        **_sigmas(tie),
     }
+
+
+def _sigmas(tie: ReferenceTie) -> dict[str, Any]:
+    """Of each match, px."""
+    return {"sigma_line": tie.match_sigma_px[:, 0], "sigma_column": tie.match_sigma_px[:, 1]}
 
 
 def _names(tie: ReferenceTie) -> Any:

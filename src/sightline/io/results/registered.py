@@ -159,6 +159,8 @@ def counted_lines(sources: Sequence[ImageSource], step: Step) -> Iterator[tuple[
 def _stored(folder: Path, registration: Registration, step: Step) -> tuple[ImageSource, ...]:
     """The bands by the nominal cameras as files, so that nothing is resampled twice; the reference itself."""
     moved = [k for k in range(len(registration.before)) if k != registration.reference]
+    if not moved:
+        return registration.before
     with naming_file(folder), ExitStack() as stack:
         # written, not mapped: a page that a full disk cannot take would end the process without a word
         tables = {k: stack.enter_context((folder / f"{k}.npy").open("wb")) for k in moved}

@@ -83,6 +83,8 @@ def summarize_registration(
 
 def _measured(summary: Mapping[str, Any]) -> set[str] | None:
     """Names of the bands that `recover` matched with another; None where its summary does not say."""
+    if summary.get("control"):
+        return set(summary["images"])  # its control points are matches with a reference
     pairs = summary.get("pairs")
     if not isinstance(pairs, list):
         return None

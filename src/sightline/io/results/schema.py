@@ -142,6 +142,16 @@ class Withheld(SummaryPart):
     asked: bool = _is("Left out on demand; else one that the estimate does without")
 
 
+class FittedControl(SummaryPart):
+    """Control points of a strip of one band."""
+
+    points: Count = _is("Seen on the band, during its lines")
+    kept: Count = _is("Not contradicted by the others")
+    residual_rms_before_px: Number = _is("px, of both coordinates of those kept, against the nominal camera")
+    residual_rms_px: Number = _is("px, of the same after the estimate")
+    residual_sigma_px: Number = _is("px, rms of their own sigma")
+
+
 class Static(SummaryPart):
     """A constant of a band."""
 
@@ -218,6 +228,7 @@ class RecoverySummary(RunSummary):
     matches: MatchCounts = _is("Windows of all pairs")
     pairs: list[ImagePair] = _is("Windows of each pair")
     withheld: list[Withheld] = _is("Pairs that the estimate did not use, predicted from it; may be empty")
+    control: FittedControl | None = _may("Of a strip of one band: what its control points leave")
     relief: FoundRelief | None = _is("The ground that was found; null where none was sought")
     statics: list[Static] = _is("Offsets, rotations, scales and shapes of the bands")
     sensors: list[UsedSensor] = _is("What attitude sensors and control points gave")

@@ -156,7 +156,7 @@ class FrameTies:
         flat = by_ground[keep].reshape(-1, 3) * np.repeat(points.sigma[keep], 2)[:, None]
         same = np.repeat(_same_points(points.position[keep]), 2)
         covariance = np.where(same[:, None] == same, flat @ flat.T, 0.0)
-        covariance += np.diag(np.repeat(points.sigma_px**2 / self.control_weight[keep], 2))
+        covariance += np.diag((points.pixel_sigma(keep) ** 2 / self.control_weight[keep, None]).ravel())
         return value[keep].ravel(), design[keep].reshape(2 * len(keep), -1), covariance
 
     def equations(
@@ -201,7 +201,7 @@ class FrameTies:
             left = points.pixels[mine] - cameras[image].project(points.position[mine])
             weight[mine] = np.linalg.norm(left, axis=1)
         _, _, covariance = plain.sightings(cameras, statics, lens)
-        usual = np.sqrt(np.diag(covariance).max(initial=points.sigma_px**2))
+        usual = np.sqrt(np.diag(covariance).max(initial=0.0))
         size = max(robust_sigma(weight[np.isfinite(weight)]) if len(weight) >= ENOUGH else 0.0, usual)
         return replace(self, control_weight=np.minimum(1.0, (CUT * size / np.maximum(weight, 1e-9)) ** 2))
 

@@ -39,10 +39,11 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
     EstimationError
         If too few windows see the same ground in two images, or none has a neighbour in its row.
     """
-    _check_windows(strip, options)
-    _check_common_ground(strip, options)
-    _check_compensated(strip, options)
-    _check_features(strip, options)
+    if len(strip.bands) > 1:
+        _check_windows(strip, options)
+        _check_common_ground(strip, options)
+        _check_compensated(strip, options)
+        _check_features(strip, options)
     _check_control(strip)
     return replace(strip, known=known_content(strip))
 

@@ -91,18 +91,18 @@ def initial_attitude(strip: Strip, statics: Array) -> Array:
     prior = JointPrior(strip.broad.processes(grid), np.array([p.sigma for p in strip.parameters]))
     nothing = no_information(grid, len(strip.parameters))
     for _ in range(INITIAL_ROUNDS if strip.control is not None else 1):
-        rows = _sensor_rows(strip, strip.broad, nodes, statics)
+        rows = sensor_rows(strip, strip.broad, nodes, statics)
         if not rows:
             return nodes
         estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
         for _ in range(SENSOR_ROUNDS):
-            rows = _reweighted(rows, estimate, believed=True)
+            rows = reweighted_rows(rows, estimate, believed=True)
             estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
         nodes = estimate.nodes
     return nodes
 
 
-def _sensor_rows(
+def sensor_rows(
     strip: Strip, model: PriorModel, nodes: Array, statics: Array, memory: float = 0.0
 ) -> list[SensorRows]:
     """Rows of all sensors about the present estimate; `model` tells which tones they may not feel."""
@@ -142,7 +142,7 @@ def solve_strip(
     orders = ordered_ground([s.t_hub[s.present.any(axis=1)] for s in stars], delays, grid)
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
-    constant, drift = _gauge(strip)
+    constant, drift = gauge(strip)
     prior = JointPrior(model.processes(grid), sigmas, constant_sigma=constant, drift_sigma=drift)
     alike = model.alike(strip.scale, grid.step * grid.count)
     ample_angles = alike.processes(grid)
@@ -157,7 +157,7 @@ def solve_strip(
 
     # errors of a gyro are followed twice as far as the images tie the motion to itself
     longest = 2.0 * max(float(np.nanmax(np.abs(s.t - s.t_hub[:, None]), initial=0.0)) for s in stars)
-    rows = _sensor_rows(strip, model, nodes, statics, longest)
+    rows = sensor_rows(strip, model, nodes, statics, longest)
 
     def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
         data = normal_equations(stars, measured, grid, orders=orders, relief=unknown_relief)
@@ -187,7 +187,7 @@ def solve_strip(
         stars = [
             s.with_correlation(model.grown(c)) for s, c in zip(stars, _correlations(stars, post), strict=True)
         ]
-        rows = _reweighted(rows, estimate, believed=not settled)
+        rows = reweighted_rows(rows, estimate, believed=not settled)
         jumped = prior.innovation_weights
         if settled and jumps:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
@@ -230,7 +230,7 @@ def _moved(stars: Sequence[Star], before: Sequence[Array], after: Sequence[Array
     return float(np.sqrt(total / max(count, 1)))
 
 
-def _gauge(strip: Strip) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def gauge(strip: Strip) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """How far constants and even drifts may lie from the reference attitude, as it is known."""
     half = 0.5 * strip.grid.step * (strip.grid.count - 1)
     known = strip.known.attitude_sigma, half * strip.known.rate_sigma
@@ -241,7 +241,9 @@ def _gauge(strip: Strip) -> tuple[tuple[float, float, float], tuple[float, float
     return constant, drift
 
 
-def _reweighted(rows: Sequence[SensorRows], estimate: JointEstimate, *, believed: bool) -> list[SensorRows]:
+def reweighted_rows(
+    rows: Sequence[SensorRows], estimate: JointEstimate, *, believed: bool
+) -> list[SensorRows]:
     """Sensor rows weighed by what the estimate leaves of them."""
     if estimate.ties is None:
         return list(rows)

@@ -10,6 +10,7 @@ Not here: reading tables (``io/``), the solution (``joint.py``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -410,14 +411,13 @@ def control_rows(
     t, by, by_static, value, whiten = (np.concatenate(part) for part in zip(*blocks, strict=True))
     if len(t) == 0:
         return None
-    instants = np.repeat(t, 2)
-    both = np.zeros((len(instants), 2, 3))
-    both[:, 1] = by.reshape(-1, 3)
+    instants = np.repeat(t, 2, axis=0)
+    both = np.repeat(0.5 * by.reshape(-1, 1, 3), 2, axis=1)
     return SensorRows(
         "control points",
         "control points",
         len(points.sigma),
-        np.stack([instants, instants], axis=1),
+        instants,
         both,
         by_static.reshape(len(instants), -1),
         np.zeros((len(instants), 0)),
@@ -438,7 +438,10 @@ def _control_of_image(
     nodes: Array,
     statics: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Times (M,), sensitivities (M, 2, 3), (M, 2, Q), values (M, 2), whitening (M, 2, 2) of one image."""
+    """Times (M, 2), sensitivities (M, 2, 3), (M, 2, Q), values (M, 2), whitening (M, 2, 2) of one image.
+
+    The mean of the motion over the lines of a window is that of two instants in it, exact for cubics.
+    """
     chosen = points.image == image
     camera, ground, seen = cameras[image], points.position[chosen], points.pixels[chosen]
 
@@ -457,18 +460,32 @@ def _control_of_image(
         if image in parameter.images:
             sides = [parameter.apply(cameras, s * parameter.step)[image].project(ground) for s in (1, -1)]
             by_static[..., k] = (sides[0] - sides[1]) / (2.0 * parameter.step)
-    t = exposure_times(camera, seen)
+    t = _window_instants(camera, seen, None if points.lines is None else points.lines[chosen])
     value = seen - camera.project(ground)
-    value += np.einsum("nij,nj->ni", by, grid.interpolate(nodes, t)) + by_static @ statics
+    moved = 0.5 * (grid.interpolate(nodes, t[:, 0]) + grid.interpolate(nodes, t[:, 1]))
+    value += np.einsum("nij,nj->ni", by, moved) + by_static @ statics
     # what leaves the image within a step of a derivative is as if it were not in it
     every = np.concatenate([part.reshape(len(ground), -1) for part in (by, by_static, by_ground)], axis=1)
     known = np.asarray(np.isfinite(every).all(axis=1))
     by_ground = np.where(known[:, None, None], by_ground, 0.0)
     covariance = points.sigma[chosen, None, None] ** 2 * np.einsum("nij,nkj->nik", by_ground, by_ground)
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance + points.sigma_px**2 * np.eye(2)))
+    whiten = np.linalg.inv(
+        np.linalg.cholesky(covariance + points.pixel_sigma(chosen)[:, :, None] ** 2 * np.eye(2))
+    )
     last = grid.start + grid.step * (grid.count - 1)
-    good = known & np.isfinite(value).all(axis=1) & (t >= grid.start) & (t <= last)
+    good = known & np.isfinite(value).all(axis=1) & ((t >= grid.start) & (t <= last)).all(axis=1)
     return t[good], by[good], by_static[good], value[good], whiten[good]
+
+
+def _window_instants(camera: MovingCamera, seen: Array, lines: Array | None) -> Array:
+    """(N, 2) s; instants whose mean is that of a cubic over so many lines about each pixel (N, 2)."""
+    t = exposure_times(camera, seen)
+    if lines is None:
+        return np.stack([t, t], axis=1)
+    away = np.stack([(lines - 1.0) / math.sqrt(12.0), np.zeros(len(lines))], axis=1)
+    ends = np.array([0.0, camera.shape[0] - 1.0])
+    inside = [np.stack([np.clip(p[:, 0], *ends), p[:, 1]], axis=1) for p in (seen - away, seen + away)]
+    return np.stack([exposure_times(camera, p) for p in inside], axis=1)
 
 
 # ---------------------------------------------------------------------------- their equations

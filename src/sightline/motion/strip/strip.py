@@ -252,11 +252,6 @@ def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float
 
 def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -> Strip:
     """Check the input and lay the time grid."""
-    if len(bands) < 2:
-        raise InputError(
-            f"one image cannot show motion: {len(bands)} band given; two or more bands that see the same "
-            "ground a lag apart are needed; add a [[band]]"
-        )
     for band in bands:
         expected = (band.camera.lines, band.camera.columns)
         if tuple(band.image.shape) != expected:
@@ -267,7 +262,8 @@ def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
     pairs = _numbered(options.pairs, bands)
     views = common_views([band.camera for band in bands], surface, pairs)
     _check_pixels(bands, views)
-    axes = viewing_axes([band.camera for band in bands], views)
+    whole = views or {(0, 0): (0, bands[0].camera.columns - 1)}
+    axes = viewing_axes([band.camera for band in bands], whole)
     cameras = tuple(band.camera if axes is None else in_axes(band.camera, axes) for band in bands)
     parameters = band_statics(bands)
     ends = np.array([[c.times(np.array([-2.0]))[0], c.times(np.array([c.lines + 1.0]))[0]] for c in cameras])

@@ -11,6 +11,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
+from sightline.motion.results import ControlFit
 from sightline.motion.strip.alternatives import alternative
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.fusion import uses
@@ -42,6 +43,14 @@ def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool
         marks += [star.t_hub[present.any(axis=1)], star.t[present]]
     reach = 0.5 * (max(r.star.longest for r in state.records) + strip.grid.step)
     return near_instants(np.concatenate(marks), t, reach)
+
+
+def controlled_lines(strip: Strip, fit: ControlFit, t: Array) -> NDArray[np.bool_]:
+    """Lines of a strip of one band beside a control point: within a node of the finest grid."""
+    camera = strip.nominal[0]
+    first, last = camera.times(np.array([0.0, camera.lines - 1.0]))
+    period = abs(float(last - first)) / (camera.lines - 1)
+    return near_instants(fit.t[fit.kept], t, RecoverOptions().grid_lines * period)
 
 
 def _spanned_field(strip: Strip, records: Sequence[StarRecord]) -> float:
@@ -167,6 +176,25 @@ def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]
         f"far from what was given: {', '.join(said)}; check ifov or directions, look_ahead, rotation, line "
         "times and attitudes, or the sigmas that are stated of them"
     ]
+
+
+def control_warnings(
+    strip: Strip, state: StripState, motion: Motion, observed: NDArray[np.bool_], fit: ControlFit
+) -> tuple[str, ...]:
+    """What a user of a strip of one band should know before trusting the numbers."""
+    out = []
+    if not observed.all():
+        out.append(
+            f"{(~observed).sum()} of {len(observed)} lines lie beside no control point: the motion there is "
+            "interpolated, its sigma grown by what the spectrum of the others lets believe"
+        )
+    lost = int((~fit.kept).sum())
+    if lost:
+        out.append(
+            f"{lost} of {len(fit.kept)} control points are contradicted by the others, and believed so much "
+            "less"
+        )
+    return (*out, *_far_off(strip, state.estimate, motion), *_sensor_warnings(strip, state.estimate))
 
 
 def strip_warnings(
