@@ -412,7 +412,8 @@ def control_rows(
     if len(t) == 0:
         return None
     instants = np.repeat(t, 2, axis=0)
-    both = np.repeat(0.5 * by.reshape(-1, 1, 3), 2, axis=1)
+    shares = np.array([0.0, 1.0] if points.lines is None else [0.5, 0.5])
+    both = by.reshape(-1, 1, 3) * shares[:, None]
     return SensorRows(
         "control points",
         "control points",
