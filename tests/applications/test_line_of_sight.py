@@ -50,8 +50,8 @@ class TestRefused:
             recover_line_of_sight(bands()[:1], Plane())
         assert str(problem.value) == (
             "one image cannot show motion: 1 [[band]] given (band 0); add a [[band]] that sees the same "
-            "ground a lag apart, or control points ([acquisition] control_points), which `sightline tie` finds "
-            "in an orthoimage"
+            "ground a lag apart, or control points ([acquisition] control_points), which `sightline tie` "
+            "finds in an orthoimage"
         )
 
     def test_an_image_of_another_size_than_its_camera_is_named(self):
