@@ -28,7 +28,7 @@ from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 from sightline.matching import kernels
 from sightline.matching.correlate import pair_covariances, search_shift
-from sightline.matching.select import grid_points, spread_subset, texture_strength
+from sightline.matching.select import select_points
 from sightline.matching.whitening import gradient_filter
 
 __all__ = ["FollowPlan", "FollowState", "Followed", "follow_windows"]
@@ -607,14 +607,16 @@ class _Follower:
         if wanted <= 0:
             return
         step = 2 * self.plan.window // 3
-        centres = grid_points(self.reader.shape, window=self.size, step=(step, step))
-        centres = centres[self._inside(centres, self.plan.window // 2 + _RIM)]
+
+        def free(centres: Array) -> Flags:
+            """Which windows have room for filters, and none that is followed beside them."""
+            inside = self._inside(centres, self.plan.window // 2 + _RIM)
+            return inside & (cKDTree(have).query(centres)[0] >= step) if len(have) else inside
+
         source = ArrayImage(frame.level, frame.bad if frame.bad.size else None)
-        strength = texture_strength(source, centres, self.size)
-        strength[~(strength > 0.0)] = np.nan
-        if len(have) and len(centres):
-            strength[cKDTree(have).query(centres)[0] < step] = np.nan
-        chosen = centres[spread_subset(centres, strength, wanted, (_CELLS, _CELLS))]
+        chosen = select_points(
+            source, window=self.size, step=(step, step), count=wanted, cells=(_CELLS, _CELLS), allowed=free
+        )
         if len(chosen):
             centre = np.rint(chosen).astype(np.int64)
             self.hubs.append(_Hub(frame, centre, self.names, np.arange(len(centre)), centre.astype(float)))
