@@ -31,7 +31,13 @@ from sightline.products.cube_grid import CubeGrid, MapSystem
 from sightline.products.cube_ground import UsedGround, choose_ground, frame_outlines, given_heights
 from sightline.products.cube_plan import CubePlan, choose_bands, frame_views, map_of, pixel_size
 from sightline.products.cube_store import CubeStore, MemoryStore
-from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands, picture_factor
+from sightline.products.cube_tally import (
+    CubePicture,
+    CubeTally,
+    picture_bands,
+    picture_factor,
+    picture_grid,
+)
 from sightline.products.frame_cube import (
     CubeMaker,
     FilledTile,
@@ -49,6 +55,8 @@ Array32 = NDArray[np.float32]
 #: What it costs to use a frame without a pose of its own image, or one out of focus.
 _GUESSED, _BLURRED = 1e4, 1e2
 #: Share of the ground passed over from which on gaps are not worth a warning.
+#: Tiles that are filled side by side, whatever the number of threads.
+AT_ONCE = 4
 _GAPS = 0.99
 
 
@@ -227,16 +235,17 @@ def _filled(
     tally = CubeTally(layout, grid, picture_bands(layout, plan.picture_nm) if plan.picture else ())
     store.begin(grid, layout)
     tiles = tiles_of(grid, layout)
-    for done, tile in enumerate(tiles, start=1):
-        filled = maker.fill(tile)
-        if filled is None:
-            store.write(
-                tile.row, tile.column, np.full((len(layout), tile.rows, tile.columns), np.nan, np.float32)
-            )
-        else:
-            store.write(tile.row, tile.column, filled.values)
-            tally.add(filled)
-        report("cube", done, len(tiles))
+    for begin in range(0, len(tiles), AT_ONCE):
+        some = tiles[begin : begin + AT_ONCE]
+        for tile, filled in zip(some, maker.fill(some), strict=True):
+            if filled is None:
+                store.write(
+                    tile.row, tile.column, np.full((len(layout), tile.rows, tile.columns), np.nan, np.float32)
+                )
+            else:
+                store.write(tile.row, tile.column, filled.values)
+                tally.add(filled)
+        report("cube", begin + len(some), len(tiles))
     return tally
 
 
@@ -273,7 +282,8 @@ def _of_rig(
     maker = RigCubeMaker(problem, grid, layout, views, [reach for _, reach in outlines], ground)
     tally = _filled(maker, store, grid, layout, plan, report)
     clock.note("tiles")
-    picture = CubePicture(grid, len(tally.rgb))
+    coarse = picture_grid(grid)
+    picture = CubePicture(coarse, len(tally.rgb))
     if plan.picture:
         rough = rig_views(problem, problem.images, given_offsets(problem.rig), None)
         given = UsedGround(
@@ -281,11 +291,12 @@ def _of_rig(
         )
         reaches = [frame_outlines(problem, system, given, view)[1] for view in rough]
         three = layout.of(tally.rgb)
-        before = RigCubeMaker(problem, grid, layout, rough, reaches, given)
-        for tile in tiles_of(grid, three):
-            filled = before.fill(tile)
-            if filled is not None:
-                picture.add(filled, tally.rgb)
+        before = RigCubeMaker(problem, coarse, layout, rough, reaches, given)
+        tiles = tiles_of(coarse, three)
+        for begin in range(0, len(tiles), AT_ONCE):
+            for filled in before.fill(tiles[begin : begin + AT_ONCE]):
+                if filled is not None:
+                    picture.add(filled, tally.rgb)
     clock.note("picture by the rough poses")
     fits = _fits(store, layout, plan, report)
     clock.note("bands matched")
@@ -352,9 +363,13 @@ class RigCubeMaker:
         """Captures of which an image could not be read, and why."""
         return {frame: why for maker in self._makers for frame, why in maker.unread.items()}
 
-    def fill(self, tile: MapTile) -> FilledTile | None:
-        """All bands of a tile; None where no image shows it."""
-        parts = [maker.fill(tile) for maker in self._makers]
+    def fill(self, tiles: Sequence[MapTile]) -> list[FilledTile | None]:
+        """All bands of some tiles, on threads; None where no image shows one."""
+        by_camera = [maker.fill(tiles) for maker in self._makers]
+        return [self._together(*each) for each in zip(tiles, *by_camera, strict=True)]
+
+    def _together(self, tile: MapTile, *parts: FilledTile | None) -> FilledTile | None:
+        """What the cameras show of a tile, as one."""
         if all(part is None for part in parts):
             return None
         flat, size = (tile.rows, tile.columns), sum(len(bands) for bands in self._bands)
@@ -429,6 +444,7 @@ def _before(
     report: Callable[[str, int, int], None],
 ) -> CubePicture:
     """The picture that the rough poses make, on the surface given or level ground nearer to the points."""
+    grid = picture_grid(grid)
     picture = CubePicture(grid, len(tally.rgb))
     if not plan.picture:
         return picture
@@ -439,11 +455,12 @@ def _before(
     three = layout.of(tally.rgb)
     maker = CubeMaker(grid, three, views, reach, given.heights, channels, gain)
     tiles = tiles_of(grid, three)
-    for done, tile in enumerate(tiles, start=1):
-        filled = maker.fill(tile)
-        if filled is not None:
-            picture.add(filled, range(len(three)))
-        report("cube: picture by the rough poses", done, len(tiles))
+    for begin in range(0, len(tiles), AT_ONCE):
+        some = tiles[begin : begin + AT_ONCE]
+        for filled in maker.fill(some):
+            if filled is not None:
+                picture.add(filled, range(len(three)))
+        report("cube: picture by the rough poses", begin + len(some), len(tiles))
     return picture
 
 

@@ -240,7 +240,8 @@ def joint_line_of_sight(
         # the first of the changes has no spectrum of its own yet
         if len(passed.changes) > 1 and passed.changes[-1] < tolerance:
             break
-        number, state = len(passed.changes), passed.state
+        number, state = len(passed.changes), _light(passed.state)
+        passed = replace(passed, state=state)
         step = steps_of(tell, f"pass {number + 1} of at most {options.passes}: matching")
         refined = _compensated_pass(draft, state, number, options, height_sigma, tell, step)
         changes = (*passed.changes, _change(draft, state, refined))
@@ -249,6 +250,7 @@ def joint_line_of_sight(
         passed = _kept(stages, names, replace(passed, name=names[number + 1], state=refined, changes=changes))
     if wide and passed.name not in (_WHOLE, _GIVEN):
         step = steps_of(tell, "last pass: matching over the whole field")
+        passed = replace(passed, state=_light(passed.state))
         state = _compensated_pass(strip, passed.state, options.passes, options, height_sigma, tell, step)
         passed = _kept(stages, names, replace(passed, name=_WHOLE, state=state))
     if strip.known.spectra is not None and passed.name != _GIVEN:
@@ -297,6 +299,15 @@ def _kept(stages: Stages, names: Sequence[str], passed: _Passed) -> _Passed:
         if name != passed.name:
             stages.drop(name)
     return passed
+
+
+def _light(state: StripState) -> StripState:
+    """A state without what only its own solution needed: the windows of two passes are not held together."""
+    records = []
+    for record in state.records:
+        by = {name: np.zeros((0, 0, 2, 0), np.float32) for name in ("by_hub", "by_partner", "by_static")}
+        records.append(replace(record, star=replace(record.star, **by)))
+    return replace(state, records=tuple(records), with_relief_px=(), before_px=())
 
 
 def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:

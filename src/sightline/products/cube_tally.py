@@ -44,6 +44,16 @@ def picture_factor(shape: tuple[int, int]) -> int:
     return max(1, -(-max(shape) // _PICTURE_PX))
 
 
+def picture_grid(grid: CubeGrid) -> CubeGrid:
+    """The map in pixels of its picture, halved where it is reduced: each is the mean of four."""
+    factor = picture_factor(grid.shape)
+    if factor < 4:
+        return grid
+    # an even number of rows and columns: the picture of this grid has the size of that one's
+    rows, columns = (2 * -(-n // factor) for n in grid.shape)
+    return CubeGrid(grid.system, grid.west, grid.north, 0.5 * factor * grid.gsd, (rows, columns))
+
+
 class CubeTally:
     """What is counted while tiles are filled, and the picture."""
 

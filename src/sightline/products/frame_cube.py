@@ -10,13 +10,14 @@ Not here: the heights of the ground (``ground_model.py``), how well bands fit (`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError, SightlineError
+from sightline.execution import in_threads
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.geometry.instrument import AreaDetector
 from sightline.imaging.source import ImageSource
@@ -204,7 +205,7 @@ class CubeMaker:
         """Sort bands by group and image."""
         self.grid, self.layout, self.views, self.heights = grid, layout, views, heights
         self._channels = channels
-        self._penalty = views.penalty.copy()
+        self._penalty = views.penalty
         self._gain = None if gain is None else gain.astype(np.float32)
         self._level = self._levels(gain)
         self._table = place_weights()
@@ -247,13 +248,13 @@ class CubeMaker:
         places = np.concatenate([flat, self.heights(flat[..., 0], flat[..., 1])[..., None]], axis=2)
         return np.ascontiguousarray(self.grid.system.world(places.reshape(-1, 3)).reshape(places.shape))
 
-    def frames_of(self, tile: MapTile) -> list[tuple[int, NDArray[np.int64]]]:
-        """Frames, in order of time, that may show a tile, each with the part of the tile (4,)."""
+    def frames_of(self, tile: MapTile, unread: Container[int] = ()) -> list[tuple[int, NDArray[np.int64]]]:
+        """Frames but `unread`, in order of time, that may show a tile, each with its part of it (4,)."""
         g = self.grid
         west, north = g.west + g.gsd * tile.column, g.north - g.gsd * tile.row
         out = []
         usable = np.isfinite(self._penalty) & np.isfinite(self._low).all(axis=1)
-        for frame in np.flatnonzero(usable):
+        for frame in (int(k) for k in np.flatnonzero(usable) if int(k) not in unread):
             box = np.array([
                 np.clip(np.floor((north - self._high[frame, 1]) / g.gsd), 0, tile.rows),
                 np.clip(np.ceil((north - self._low[frame, 1]) / g.gsd), 0, tile.rows),
@@ -264,15 +265,23 @@ class CubeMaker:
                 out.append((int(frame), box))
         return out
 
-    def fill(self, tile: MapTile) -> FilledTile | None:
-        """All bands of a tile; None where no frame shows it."""
-        while frames := self.frames_of(tile):
+    def fill(self, tiles: Sequence[MapTile]) -> list[FilledTile | None]:
+        """All bands of some tiles, on threads; None where no frame shows one."""
+        known = dict(self.unread)
+        found = in_threads(lambda tile: self._filled(tile, dict(known)), tiles)
+        for _, unread in found:
+            self.unread.update(unread)
+        return [filled for filled, _ in found]
+
+    def _filled(self, tile: MapTile, unread: dict[int, str]) -> tuple[FilledTile | None, dict[int, str]]:
+        """A tile from all frames but those `unread`, and these with what was found to be among them."""
+        while frames := self.frames_of(tile, unread):
             world = self.world(tile)
             out = self.choose(tile, world, frames)
-            if self._fill(world.reshape(-1, 3), out):
-                return out
+            if self._fill(world.reshape(-1, 3), out, unread):
+                return out, unread
             # a frame turned out unreadable: others take its place
-        return None
+        return None, unread
 
     def choose(self, tile: MapTile, world: Array, frames: list[tuple[int, NDArray[np.int64]]]) -> FilledTile:
         """Which frame shows each place best; no values yet."""
@@ -296,7 +305,7 @@ class CubeMaker:
         values = np.full((len(bands), *flat), np.nan, dtype=np.float32)
         return FilledTile(tile, values, view, passed, beyond)
 
-    def _fill(self, world: Array, out: FilledTile) -> bool:
+    def _fill(self, world: Array, out: FilledTile, unread: dict[int, str]) -> bool:
         """Values of all places, frame after frame; whether all of them could be read."""
         first = np.empty(len(self.views) + 1, dtype=np.int64)
         places = np.empty(out.view.size, dtype=np.int32)
@@ -304,11 +313,13 @@ class CubeMaker:
         values = out.values.reshape(len(self.layout), -1)
         for frame in np.flatnonzero(np.diff(first)):
             own = places[first[frame] : first[frame + 1]]
-            if not self._fill_from(int(frame), own, world, values):
+            if not self._fill_from(int(frame), own, world, values, unread):
                 return False
         return True
 
-    def _fill_from(self, frame: int, places: NDArray[np.int32], world: Array, values: Array32) -> bool:
+    def _fill_from(
+        self, frame: int, places: NDArray[np.int32], world: Array, values: Array32, unread: dict[int, str]
+    ) -> bool:
         """Values of the places of which a frame is the view; whether it could be read."""
         shape, period = np.array(self.views.detector.shape), np.array(self.layout.period)
         pixels = np.empty((len(places), 2))
@@ -320,8 +331,7 @@ class CubeMaker:
             try:
                 image, bad = self._read(sources[frame], channel, low, high)
             except (SightlineError, OSError) as error:
-                self.unread[frame] = str(error)
-                self._penalty[frame] = np.inf
+                unread[frame] = str(error)
                 return False
             first, rows, phase = self._bands[channel]
             fill_bands(
