@@ -303,10 +303,10 @@ def _kept(stages: Stages, names: Sequence[str], passed: _Passed) -> _Passed:
 
 def _light(state: StripState) -> StripState:
     """A state without what only its own solution needed: the windows of two passes are not held together."""
-    records = []
+    records, none = [], np.zeros((0, 0, 2, 0), dtype=np.float32)
     for record in state.records:
-        by = {name: np.zeros((0, 0, 2, 0), np.float32) for name in ("by_hub", "by_partner", "by_static")}
-        records.append(replace(record, star=replace(record.star, **by)))
+        star = replace(record.star, by_hub=none, by_partner=none, by_static=none)
+        records.append(replace(record, star=star))
     return replace(state, records=tuple(records), with_relief_px=(), before_px=())
 
 
