@@ -461,6 +461,7 @@ def _compensated_pass(
         WORK * (DRAFT_WORK if strip.draft else 1.0),
         strip.known.tones,
         fitted,
+        strip.off_axis,
     )
     if solved.prior.relief is not None:
         model = model.beside_relief(strip.grid.step * strip.grid.count)

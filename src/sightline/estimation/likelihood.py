@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: Work allowed per evaluation, n b^2; about 40 ms. Longer strips are fitted on a coarser grid.
 WORK = 1.0e8
+#: Nodes of the grid of a fit from row to row of the measurements, where `WORK` allows it.
+NODES_IN_ROW = 2.0
 #: Steps of a search from each place to start, before tones are looked for.
 FIRST_ITERATIONS = 6
 
@@ -78,7 +80,7 @@ def fit_spectrum(
     independent: float = 0.0,
     iterations: int = 60,
     work: float = WORK,
-    possible: Sequence[float] = (),
+    possible: Sequence[Tone] = (),
     corner: float | None = None,
     detail: float = 0.0,
     elsewhere: Sequence[float] = (),
@@ -116,8 +118,9 @@ def fit_spectrum(
         Of the last search.
     work : float
         Allowed per evaluation, see `WORK`.
-    possible : sequence of float
-        Hz; there a tone stands, of the size that one not found has on average.
+    possible : sequence of Tone
+        There a tone stands as wide as these, of the size that one not found has on average if beforehand it
+        is that of these.
     corner : float, optional
         Hz; where the broadband part is believed to bend, within a factor of 2.
     detail : float
@@ -184,7 +187,10 @@ def fit_spectrum(
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
     model = search.improve(search.without_idle_tones(model), iterations)
-    model = search.with_possible_tones(model, [*known_tones, *possible], false_alarm)
+    known = [Tone(model.drift.sigma, f, search.narrow(f)) for f in known_tones]
+    model = search.with_possible_tones(
+        model, [*known, *(replace(one, sigma=one.sigma / unit) for one in possible)], false_alarm
+    )
     hidden, through = search.hidden_tones(model, elsewhere)
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
@@ -215,16 +221,20 @@ def _begins(
 
 def default_step(series: Sequence[DifferenceSeries]) -> float:
     """Grid step (s) for a set of series: a seventh of the shortest lag, within 1/5 to 1 sampling step."""
-    spacing, shortest = math.inf, math.inf
+    shortest = math.inf
     for s in series:
-        t = np.unique(s.t[s.used])
-        if len(t) > 1:
-            spacing = min(spacing, float(np.median(np.diff(t))))
-        if len(t):
+        if s.used.any():
             shortest = min(shortest, float(np.median(np.abs(s.lag[s.used]))))
-    if not math.isfinite(spacing):
-        raise InputError("the series hold fewer than two measurement times; give `grid_step`")
+    spacing = _spacing(series)
     return float(np.clip(shortest / 7.0, spacing / 5.0, spacing))
+
+
+def _spacing(series: Sequence[DifferenceSeries]) -> float:
+    """Sampling step (s) of the most densely sampled series."""
+    steps = [np.diff(np.unique(s.t[s.used])) for s in series]
+    if not any(len(one) for one in steps):
+        raise InputError("the series hold fewer than two measurement times; give `grid_step`")
+    return min(float(np.median(one)) for one in steps if len(one))
 
 
 def _rates(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:
@@ -259,8 +269,11 @@ def _fitting_grid(
     first, last = span(series)
     lag = max(float(np.max(np.abs(s.lag[s.used]))) for s in series)
     if step is None:
-        finest = default_step(series)
-        step = float(np.clip(((last - first) * lag**2 / work) ** (1 / 3), finest, 3.0 * finest))
+        usual = default_step(series)
+        # at a node to a row, a tone of more than a third of their rate bends between nodes: what rows hold of
+        # it would pass for noise, and the noise of rows for jitter
+        finest = min(usual, _spacing(series) / NODES_IN_ROW)
+        step = float(np.clip(((last - first) * lag**2 / work) ** (1 / 3), finest, 3.0 * usual))
     length = max(work * step**3 / lag**2, 4.0 * lag)
     if length < 0.9 * (last - first):
         middle = 0.5 * (first + last)

@@ -36,6 +36,9 @@ BELIEF = 3.0
 BANDWIDTH_BELIEF = 1.2
 #: The same of the corner of the broadband part where another axis of the same body shows it: a factor of 2.
 CORNER_BELIEF = 0.7
+#: Least bandwidth of a tone that another axis shows, in units of one over the length of the data: its
+#: frequency is not known better.
+NARROWEST = 0.1
 #: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
 #: parameter, thrice: there are three steps to take).
 SMOOTHER = 6.0
@@ -340,7 +343,7 @@ class Search:
             size = max((model.tones[k].sigma for k in near), default=0.1)
             for k in reversed(near):
                 model = model.without_tone(k)
-            model = model.with_tone(Tone(size, f, min(1.0 / self._length, 0.1 * f)), math.inf)
+            model = model.with_tone(Tone(size, f, self.narrow(f)), math.inf)
         return model
 
     # -- tones ------------------------------------------------------------------------------------
@@ -489,29 +492,39 @@ class Search:
         return model
 
     def with_possible_tones(
-        self, model: NoiseModel, possible: Sequence[float], false_alarm: float
+        self, model: NoiseModel, possible: Sequence[Tone], false_alarm: float
     ) -> NoiseModel:
-        """The model and a tone at every `possible` frequency (Hz) it has none at, as large as it may be.
+        """The model and every `possible` tone it has none like, of its width and as large as it may be.
 
         A size fitted to data that do not show the tone is an accident: nothing at a blind frequency. It has
-        the mean variance that the data leave to it, see `mean_variance_unseen`.
+        the mean variance that the data leave to it, see `mean_variance_unseen`, beforehand that of the tone
+        given. A width of one over the
+        length of the data, where another axis shows a narrower one, would bring as much jitter at all
+        frequencies into a short strip as the tone itself.
         """
         apart = 1.5 / self._length
-        new = [f for f in possible if all(abs(tone.frequency - f) > apart for tone in model.tones)]
-        new = [f for f, constant in zip(new, self._constant(np.array(new)), strict=True) if not constant]
+        new = [one for one in possible if all(abs(t.frequency - one.frequency) > apart for t in model.tones)]
+        constant = self._constant(np.array([one.frequency for one in new]))
+        new = [one for one, never in zip(new, constant, strict=True) if not never]
         if not new:
             return model
         now = self.posterior(model)
         u = now.score
-        gains, _, expected = self._exact_gain(now, u, np.array(new))
+        gains, _, expected = self._exact_gain(now, u, np.array([one.frequency for one in new]))
         threshold = gain_of_chance(self._highest * self._length, false_alarm)
-        for frequency, gained, information in zip(new, gains, expected, strict=True):
+        for one, gained, information in zip(new, gains, expected, strict=True):
             # a tone of this variance would gain 1 + information variance / 2 on average
             per_variance = 0.5 * float(information)
             largest = min(threshold, per_variance * model.drift.sigma**2)
-            variance = mean_variance_unseen(float(gained), largest) / per_variance
-            model = model.with_tone(Tone(math.sqrt(variance), frequency, 1.0 / self._length), math.nan)
+            usual = per_variance * one.sigma**2
+            variance = mean_variance_unseen(float(gained), largest, usual) / per_variance
+            width = min(max(one.bandwidth, NARROWEST / self._length), self.narrow(one.frequency))
+            model = model.with_tone(Tone(math.sqrt(variance), one.frequency, width), math.nan)
         return model
+
+    def narrow(self, frequency: float) -> float:
+        """Bandwidth (Hz) that a tone is taken to have as long as nothing shows it."""
+        return min(1.0 / self._length, 0.1 * frequency)
 
     def hidden_tones(
         self, model: NoiseModel, elsewhere: Sequence[float] = ()
@@ -711,22 +724,23 @@ def gain_of_chance(count: float, false_alarm: float) -> float:
     return gain
 
 
-def mean_variance_unseen(gain: float, largest: float) -> float:
+def mean_variance_unseen(gain: float, largest: float, usual: float = math.inf) -> float:
     """Mean variance of a tone that was not found, in units in which the noise has that of 1.
 
     The gain of a tone of variance v is exponential of mean 1 + v; amplitudes are even up to where the tone
-    would have been found, or would be larger than all motion.
+    would have been found, or would be larger than all motion, or half a Gaussian of the `usual` variance.
 
     Parameters
     ----------
     gain : float
         Log-likelihood that a sinusoid at its frequency would gain.
-    largest : float
+    largest, usual : float
         Of the variance.
     """
     amplitude = (np.arange(400) + 0.5) / 400.0
+    largest = min(largest, 25.0 * usual)  # five sigma of that Gaussian
     variance = largest * amplitude**2
-    weight = np.exp(-gain / (1.0 + variance)) / (1.0 + variance)
+    weight = np.exp(-gain / (1.0 + variance) - 0.5 * variance / usual) / (1.0 + variance)
     return float(variance @ weight / weight.sum())
 
 

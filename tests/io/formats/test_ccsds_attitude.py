@@ -313,6 +313,72 @@ def test_messages_in_xml_are_those_in_kvn(tmp_path):
         ccsds.read_oem(tmp_path / "spoilt.xml", EPOCH)
 
 
+def aem_xml(kind: str, states: str, meta: str = "", version: str = "2.0") -> str:
+    """An attitude message in XML, after the schema: two states, `{t}` their instants."""
+    states = "".join(
+        f"<attitudeState>{states.format(t=f'2026-01-01T00:00:0{k}')}</attitudeState>" for k in (0, 1)
+    )
+    direction = "<ATTITUDE_DIR>A2B</ATTITUDE_DIR>" if version == "1.0" else ""
+    return (
+        f'<?xml version="1.0"?><!-- <oem --><aem id="CCSDS_AEM_VERS" version="{version}"><header>'
+        "<COMMENT>none</COMMENT><CREATION_DATE>2026-01-01T00:00:00</CREATION_DATE><ORIGINATOR>T</ORIGINATOR>"
+        "</header><body><segment><metadata><OBJECT_NAME>E</OBJECT_NAME><OBJECT_ID>2026-001A</OBJECT_ID>"
+        f"<REF_FRAME_A>EME2000</REF_FRAME_A><REF_FRAME_B>SC_BODY_1</REF_FRAME_B>{direction}"
+        "<TIME_SYSTEM>UTC</TIME_SYSTEM><START_TIME>2026-01-01T00:00:00</START_TIME>"
+        f"<STOP_TIME>2026-01-01T00:00:01</STOP_TIME><ATTITUDE_TYPE>{kind}</ATTITUDE_TYPE>{meta}</metadata>"
+        f"<data><COMMENT>none</COMMENT>{states}</data></segment></body></aem>"
+    )
+
+
+XML_QUATERNION = "<quaternion><Q1>0</Q1><Q2>0.6</Q2><Q3>0</Q3><QC>0.8</QC></quaternion>"
+#: Kind, states, more metadata, version.
+XML_STATES = [
+    ("QUATERNION", f"<quaternionEphemeris><EPOCH>{{t}}</EPOCH>{XML_QUATERNION}</quaternionEphemeris>", "",
+     "2.0"),
+    ("QUATERNION", f"<quaternionState><EPOCH>{{t}}</EPOCH>{XML_QUATERNION}</quaternionState>",
+     "<QUATERNION_TYPE>FIRST</QUATERNION_TYPE>", "1.0"),
+    ("QUATERNION/ANGVEL", f"<quaternionAngVel><EPOCH>{{t}}</EPOCH>{XML_QUATERNION}<angVel>"
+     '<ANGVEL_X units="deg/s">1</ANGVEL_X><ANGVEL_Y units="deg/s">2</ANGVEL_Y><ANGVEL_Z>3</ANGVEL_Z></angVel>'
+     "</quaternionAngVel>", "<ANGVEL_FRAME>SC_BODY_1</ANGVEL_FRAME>", "2.0"),
+    ("EULER_ANGLE", "<eulerAngle><EPOCH>{t}</EPOCH><rotationAngles>"
+     + "".join(f'<rotation{k} angle="{a}_ANGLE" units="deg">{v}</rotation{k}>'
+               for k, a, v in ((1, "Y", 73.739795291688), (2, "X", 0), (3, "Z", 0)))
+     + "</rotationAngles></eulerAngle>", "<EULER_ROT_SEQ>213</EULER_ROT_SEQ>", "1.0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("space", ["", 'xmlns="urn:ccsds:schema:ndmxml" ', "ndm"])
+@pytest.mark.parametrize(("kind", "states", "meta", "version"), XML_STATES)
+def test_attitudes_in_xml_of_any_kind_and_namespace(tmp_path, kind, states, meta, version, space):
+    text = aem_xml(kind, states, meta, version)
+    if space == "ndm":
+        text = text.replace("<aem", "<ndm><aem").replace("</aem>", "</aem></ndm>")
+    else:
+        text = text.replace("<aem ", f"<aem {space}")
+    found = read_aem(write(tmp_path, text), EPOCH)
+    np.testing.assert_allclose(found.t, [0.0, 1.0])
+    # from the stars (A) to the body (B): world_from_body is the quaternion itself, 2 atan(.6 / .8) about y
+    np.testing.assert_allclose(found.quat_xyzw, [[0.0, 0.6, 0.0, 0.8]] * 2, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("</aem>", "", "is no AEM in XML .*was it cut"),
+        ("<QC>0.8</QC>", "", "without a quaternion|holds 4 values"),
+        ("<Q2>0.6</Q2>", "<Q2>0.6</Q2><Q2>0.6</Q2>", "holds Q2 2 times; once is needed"),
+        ("<Q2>0.6</Q2>", "<Q2></Q2>", "Q2 holds '', no number"),
+        ('units="deg/s">2', 'units="rad/s">2', "ANGVEL_Y is in 'rad/s'; CCSDS messages give it in deg"),
+        ("</aem>", "</aem><aem/>", "is no AEM in XML"),
+        ("aem", "oem", "<oem> holds 0 messages <aem>"),
+    ],
+)
+def test_xml_that_holds_no_attitudes_is_refused(tmp_path, old, new, words):
+    text = aem_xml(*XML_STATES[2])
+    with pytest.raises(FormatError, match=words):
+        read_aem(write(tmp_path, text.replace(old, new)), EPOCH)
+
+
 def test_written_orbits_and_attitudes_are_what_another_reader_finds(tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
     t = np.array([0.0, 0.25, 1.5])

@@ -1,8 +1,8 @@
 """CCSDS navigation messages as keywords and lines: header, segments with metadata and data; what all share.
 
-Keyword = value notation (KVN) is read here; XML is turned into it by ccsds-ndm. Files may be compressed.
+Keyword = value notation (KVN) is read here; XML is turned into it. Files may be compressed.
 
-Not here: what data mean: orbits (``ccsds.py``), attitudes (``ccsds_attitude.py``).
+Not here: XML (``ccsds_xml.py``), what data mean: orbits (``ccsds.py``), attitudes (``ccsds_attitude.py``).
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError, foreign_errors
-from sightline.geometry.earth_orientation import AXES, axes_of, orbit_package
+from sightline.errors import FormatError
+from sightline.geometry.earth_orientation import AXES, axes_of
+from sightline.io.formats.ccsds_xml import kvn_of_xml
 from sightline.io.formats.instants import TIME_SCALES, clock, parse_utc
 from sightline.io.formats.packed import head_lines, read_packed_text
 from sightline.io.formats.tables import check_times
@@ -48,8 +49,6 @@ _ORBITAL = (
     "SEZ",
     "LOCAL",
 )
-#: What another implementation may ask of a parser of XML, and never needs here.
-_ENTITIES = re.compile(r"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 _ROOT = re.compile(r"<(?:\w+:)?(oem|aem|apm|omm|opm|ocm|acm|tdm|cdm|rdm|ndm)\b", re.IGNORECASE)
 _UNIT = re.compile(r"\s*\[[^\]]*\]$")
 #: s by which rows may lie beyond the span that their metadata state, which may be rounded.
@@ -113,7 +112,7 @@ def read_message(path: Path, kind: str) -> Message:
     text = read_packed_text(path, "a CCSDS message in KVN or XML")
     turned = text.lstrip().startswith("<")
     if turned:
-        text = _from_xml(path, text, kind)
+        text = kvn_of_xml(path, text, kind)
     lines = [
         (number, line.strip())
         for number, line in enumerate(text.splitlines(), 1)
@@ -140,21 +139,6 @@ def read_message(path: Path, kind: str) -> Message:
             raise FormatError(f"{path}: {key} is missing; every message begins with it: the header was cut")
     parse_utc(message.header["CREATION_DATE"], f"{path}: CREATION_DATE")
     return message
-
-
-def _from_xml(path: Path, text: str, kind: str) -> str:
-    """The same message in KVN, by ccsds-ndm."""
-    found = _ENTITIES.search(text)
-    if found is not None:
-        raise FormatError(
-            f"{path}: holds {found[0]!r}: XML with a document type or entities is not read; write the "
-            "message without them"
-        )
-    ndm = orbit_package("ccsds_ndm.ndm_io", "a message in XML")
-    forms = orbit_package("ccsds_ndm.mapping", "a message in XML").NDMFileFormats
-    with foreign_errors(path, f"is no {kind} in XML", "its schema is that of the CCSDS (505.0-B)"):
-        turned = ndm.NdmIo().to_string(ndm.NdmIo().from_string(text), forms.KVN)
-    return str(turned)
 
 
 def _pair(path: Path, row: Row) -> tuple[str, str]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,13 @@ Array = NDArray[np.float64]
 PITCH = 0.01
 #: px up to which a straight and even line stands for a detector, before distortions are tried.
 _STRAIGHT = 1e-5
+#: px that the search for a radial lens may leave, before it starts from a steep one.
+_STEEP = 1e-3
 #: Pixels from which the search for a corner in a distortion starts.
 _ORIGINS = 65
+#: Distances from the line, in its lengths, from which the search for that point starts; times that the tilt
+#: of the line is found anew; evaluations of each search.
+_ASIDES, _TILTS, _STEPS = (-0.1, 0.1), 3, 60
 #: Parameters by which a state can be adjusted.
 _PARAMETERS = 16
 #: m; heights that are allowed, of Earth's lowest and highest land.
@@ -106,6 +111,22 @@ def nearest_plane(detector: LineDetector) -> tuple[CsmFocalPlane, float]:
     return min(found, key=lambda pair: pair[1])
 
 
+def along_samples(camera: PushbroomCamera, states: LineStates) -> tuple[LineDetector, LineStates]:
+    """The detector line of a camera with x along it, and its states in these axes.
+
+    A line that runs along y more than along x has its sensor axes turned by a quarter about z: CSM then holds
+    it as any other.
+    """
+    detector = camera.detector
+    run = np.abs(detector.tangents[-1] - detector.tangents[0])
+    if run[1] <= run[0]:
+        return detector, states
+    x, y, z = detector.directions.T
+    quarter = Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi])
+    turned = replace(detector, directions=np.column_stack([y, -x, z]))
+    return turned, replace(states, world_from_camera=states.world_from_camera * quarter)
+
+
 def _curved(even: CsmFocalPlane, detector: LineDetector) -> Iterator[CsmFocalPlane]:
     """Focal planes with the distortions that may stand for a line that is not even."""
     yield _cahvor(even, detector)
@@ -127,50 +148,117 @@ def _cahvor(even: CsmFocalPlane, detector: LineDetector) -> CsmFocalPlane:
     """Radial distortion about a centre of its own: all that shifts and scales of a radial line lead to."""
     wanted = detector.tangents * even.focal_length
     reach = float(np.abs(wanted).max())
-    scale = np.array([1.0, 1.0, 1e-3, 1e-3 / reach**2, 1e-3 / reach**4, PITCH, PITCH])
+    scale = np.array([1.0, 1.0, 1e-3, 1e-3 / reach**2, 1e-3 / reach**4, PITCH, PITCH, 1e-3 / PITCH])
 
     def plane(values: Array) -> CsmFocalPlane:
         shift = values * scale
         centre = even.centre[0] + shift[0], even.centre[1] + shift[1]
-        return _changed(even, centre=centre, distortion="cahvor", coefficients=shift[2:])
+        lines = even.lines_from_x + np.array([0.0, shift[7], 0.0])
+        return _changed(even, lines_from_x=lines, centre=centre, distortion="cahvor", coefficients=shift[2:7])
 
     def missing(values: Array) -> Array:
         looks = plane(values).row(detector.columns)[:, :2] * even.focal_length
         return np.asarray((looks - wanted).ravel() / PITCH)
 
-    start = np.zeros(7)
-    return plane(least_squares(missing, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac").x)
+    def fit(start: Array) -> CsmFocalPlane:
+        return plane(least_squares(missing, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac").x)
+
+    near = fit(np.zeros(8))
+    if _apart(near, detector) <= _STEEP:
+        return near
+    # a lens that bends the line by much of its length: from where the line is odd about the axis
+    samples = np.arange(detector.columns) + np.float64(0.5)
+
+    def odd_about(origin: float) -> tuple[Array, float]:
+        x, y = _changed(even, centre=(even.centre[0], origin)).mm(np.zeros(len(samples)), samples)
+        r2 = x * x + y * y
+        terms = np.column_stack([x, x * r2, x * r2**2])
+        sizes = np.abs(terms).max(axis=0)
+        found, *_ = np.linalg.lstsq(terms / sizes, wanted[:, 0], rcond=None)
+        return found / sizes, float((((terms / sizes) @ found - wanted[:, 0]) ** 2).sum())
+
+    def aside(origin: float, keep: Array) -> float:
+        """Detector lines from the axis to the line: its tangents along y are as much, times what x keeps."""
+        x, _ = _changed(even, centre=(even.centre[0], origin)).mm(np.zeros(len(samples)), samples)
+        kept = np.stack([np.ones(len(x)), x**2, x**4], axis=1) @ keep
+        return float((kept @ wanted[:, 1]) / (kept @ kept)) / PITCH
+
+    # the axis may lie beside the image
+    coarse = np.linspace(-1.0, 2.0, 3 * _ORIGINS) * detector.columns
+    best = int(np.argmin([odd_about(origin)[1] for origin in coarse]))
+    bounds = coarse[max(best - 1, 0)], coarse[min(best + 1, 3 * _ORIGINS - 1)]
+    origin = float(minimize_scalar(lambda at: odd_about(at)[1], bounds=bounds, method="bounded").x)
+    keep = odd_about(origin)[0]
+    at = -aside(origin, keep) - even.centre[0], origin - even.centre[1]
+    lens = np.array([1.0, 0.0, 0.0]) - keep
+    far = fit(np.concatenate([at, lens, [0.0, 0.0, -even.lines_from_x[1]]]) / scale)
+    return min(near, far, key=lambda one: _apart(one, detector))
 
 
 def _kaguyalism(even: CsmFocalPlane, detector: LineDetector) -> CsmFocalPlane:
-    """Cubics in the distance from a pixel, which may have a corner there; the pixel is searched for."""
+    """Cubics in the distance from a point that is searched for: a line through it has a corner there.
+
+    With x along the line from where it is nearest to the point: tangents are linear in 1, x, and r, r^2, r^3,
+    r = |(x, aside + tilt x)|.
+    """
     samples: Array = np.arange(detector.columns) + np.float64(0.5)
     side = float(np.sign(even.samples_from_x[1]))
 
-    def fitted(x: Array, tilt: float) -> tuple[Array, float]:
-        terms = np.column_stack([x, (np.abs(x) * np.hypot(1.0, tilt))[:, None] ** np.arange(4)])
+    def fitted(origin: float, aside: float, tilt: float) -> tuple[Array, Array]:
+        x = PITCH * (samples - origin) * side
+        terms = np.column_stack([x, np.hypot(x, aside + tilt * x)[:, None] ** np.arange(4)])
         sizes = np.abs(terms).max(axis=0)
         found = np.linalg.lstsq(terms / sizes, detector.tangents, rcond=None)[0]
         left = (terms / sizes) @ found - detector.tangents
-        return found / sizes[:, None], float((left**2).sum())
+        return found / sizes[:, None], np.asarray(left.ravel() / detector.pixel_step)
 
     def left_at(origin: float) -> float:
-        return fitted(PITCH * (samples - origin) * side, 0.0)[1]
+        return float((fitted(origin, 0.0, 0.0)[1] ** 2).sum())
 
     coarse = np.linspace(0.0, detector.columns, _ORIGINS)
     best = int(np.argmin([left_at(origin) for origin in coarse]))
     near = coarse[max(best - 1, 0)], coarse[min(best + 1, _ORIGINS - 1)]
     origin = float(minimize_scalar(left_at, bounds=near, method="bounded", options={"xatol": 1e-9}).x)
-    x = PITCH * (samples - origin) * side
-    slopes = fitted(x, 0.0)[0][0]
-    tilt = float(slopes[1] / slopes[0])
-    found = fitted(x, tilt)[0]
+    tilt = _tilt(fitted(origin, 0.0, 0.0)[0])
+    # a line that passes the point at some distance has a bend in the place of a corner
+    starts = [np.array([origin, part * PITCH * detector.columns]) for part in (0.0, *_ASIDES)]
+
+    def missing(values: Array, turn: float) -> Array:
+        return fitted(float(values[0]), PITCH * float(values[1]), turn)[1]
+
+    def refined(start: Array) -> tuple[float, Array, float]:
+        at, turn = start, tilt
+        for _ in range(_TILTS):
+            passed = least_squares(
+                missing, np.array([at[0], at[1] / PITCH]), args=(turn,),
+                xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac", max_nfev=_STEPS,
+            )  # fmt: skip
+            at = np.array([passed.x[0], PITCH * passed.x[1]])
+            turn = _tilt(fitted(at[0], at[1], turn)[0])
+        return float(np.abs(fitted(at[0], at[1], turn)[1]).max()), at, turn
+
+    corner = float(np.abs(fitted(origin, 0.0, tilt)[1]).max()), np.array([origin, 0.0]), tilt
+    tried = [corner]
+    for start in starts:
+        if min(tried, key=lambda one: one[0])[0] <= _STRAIGHT:
+            break
+        tried.append(refined(start))
+    _, (origin, aside), tilt = min(tried, key=lambda one: one[0])
+    found = fitted(origin, aside, tilt)[0]
     focal = 1.0 / float(found[0, 0])
+    # the tangent along y of `aside + tilt x` is in the constant and in x; the lens takes the rest
     return _changed(
         even, focal_length=focal, lines_from_x=np.array([0.0, -tilt / PITCH, 1.0 / PITCH]),
-        centre=(0.0, origin), distortion="kaguyalism",
-        coefficients=np.concatenate([[0.0], focal * found[1:, 0], [0.0], focal * found[1:, 1]]),
+        centre=(-aside / PITCH, origin), distortion="kaguyalism",
+        coefficients=np.concatenate(
+            [[0.0], focal * found[1:, 0], [0.0], focal * found[1:, 1] - [aside, 0.0, 0.0, 0.0]]
+        ),
     )  # fmt: skip
+
+
+def _tilt(found: Array) -> float:
+    """Of a line whose tangents (x, y) change by `found[0]` along it."""
+    return float(found[0, 1] / found[0, 0])
 
 
 def _transverse(even: CsmFocalPlane, detector: LineDetector) -> CsmFocalPlane:

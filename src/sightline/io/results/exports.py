@@ -30,11 +30,13 @@ from sightline.applications.export import (
 from sightline.errors import GeometryError, InputError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84, to_geodetic
+from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Dem, Ellipsoid, Surface
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.ccsds import write_aem, write_oem
 from sightline.io.formats.csm_files import (
     CsmNames,
+    along_samples,
     csm_timing,
     inertial_states,
     isd_text,
@@ -328,10 +330,11 @@ def _csm(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any
     et, bands = exported.needs_et("csm"), []
     for name, stem in _stems(exported).items():
         camera = exported.cameras[name]
-        plane, residual = _plane(camera, name, "csm")
+        detector, states = along_samples(camera, line_states(camera))
+        plane, residual = _plane(detector, name, "csm")
         text = state_text(
             camera,
-            line_states(camera),
+            states,
             csm_timing(camera, et),
             plane,
             radii,
@@ -349,11 +352,12 @@ def _isd(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any
     et, bands = exported.needs_et("isd"), []
     for name, stem in _stems(exported).items():
         camera = exported.cameras[name]
-        plane, residual = _plane(camera, name, "isd")
         timing = csm_timing(camera, et)
         states = line_states(camera)
         # instants past J2000 are resolved to 6e-8 s: poses are those of the instants that the file can hold
         states = states_at(camera, np.unique((states.t + et) - et))
+        detector, states = along_samples(camera, states)
+        plane, residual = _plane(detector, name, "isd")
         body, words = body_rotation(acquired, states.t, et)
         names = CsmNames(stem, name, exported.name)
         whole_text(folder / f"{stem}.json", isd_text(camera, states, timing, plane, radii, names, body))
@@ -510,9 +514,9 @@ def _igm(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any
     }
 
 
-def _plane(camera: PushbroomCamera, name: str, to: str) -> tuple[Any, float]:
-    """Focal plane of CSM for a camera, and px by which it differs."""
-    plane, residual = nearest_plane(camera.detector)
+def _plane(detector: LineDetector, name: str, to: str) -> tuple[Any, float]:
+    """Focal plane of CSM for a detector line, and px by which it differs."""
+    plane, residual = nearest_plane(detector)
     if not residual <= LARGEST_LENS_PX:
         raise InputError(
             f"--to {to}: the detector line of {name!r} is met to {residual:.3g} px only, {LARGEST_LENS_PX:g} "

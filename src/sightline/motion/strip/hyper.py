@@ -52,6 +52,8 @@ MOST_ACROSS = 0.5
 DETAIL = (2.9 + 0.9 * 1.33, 2.9 * 1.33 + 0.9, 2.9 * 1.6 + 0.9)
 #: Fewest rows of windows that tell of a pair's differences.
 FEWEST_ROWS = 8
+#: Number of the axis along the line of sight.
+YAW = 2
 
 
 @dataclass(frozen=True)
@@ -382,6 +384,7 @@ def fit_prior_model(
     work: float = WORK,
     known_tones: Sequence[float] = (),
     step: Step = no_step,
+    off_axis: float = 0.0,
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -405,6 +408,8 @@ def fit_prior_model(
     step : callable
         Called with the number of fits that are done, and of all: two of each axis, by itself and with what
         the others show.
+    off_axis : float
+        Sine of the angle from the body's z to the line of sight, whose axes these are; 0: the body's own.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
@@ -418,7 +423,7 @@ def fit_prior_model(
     def fitted(
         axis: int,
         begin: Spectrum | None = None,
-        possible: Sequence[float] = (),
+        possible: Sequence[Tone] = (),
         corner: float | None = None,
         elsewhere: Sequence[float] = (),
     ) -> FittedSpectrum:
@@ -443,7 +448,7 @@ def fit_prior_model(
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
     length = max(float(d.t.max()) for d in differences) - min(float(d.t.min()) for d in differences)
     spectra = [one.spectrum for one in first]
-    missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
+    missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length, off_axis) for axis in range(3)]
     corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
 
     def shared(axis: int) -> FittedSpectrum:
@@ -466,19 +471,43 @@ def fit_prior_model(
     return model.with_turns(length)
 
 
-def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[float]:
-    """Frequencies (Hz), `apart` at least, of tones that other axes have and this one does not.
+def _tones_elsewhere(
+    spectra: Sequence[Spectrum], axis: int, apart: float, off_axis: float = 0.0
+) -> list[Tone]:
+    """Tones, `apart` (Hz) at least, that other axes have and this one does not, as large as to be expected.
 
     What shakes a spacecraft shakes all axes of it. A tone too weak to be found by itself would be owned by
-    nobody; where another axis shows it, it may be here too, as large as goes unseen.
+    nobody; where another axis shows it, it may be here too, as large as goes unseen. Where both axes show
+    another tone, this one is about as much larger or smaller than there as that.
+
+    Notes
+    -----
+    Where they share none it may be as large as the drift, but for the turn about a line of sight that is
+    `off_axis` (the sine of how far): what is seen across it holds the body's yaw too, by that sine. Of a body
+    that yaws alone the turn is cot of the angle times what is seen, of one that shakes alike about all axes
+    as much: the mean square of both is 1 / (2 sin^2).
     """
-    own = [tone.frequency for tone in spectra[axis].tones]
-    out: list[float] = []
-    for other, spectrum in enumerate(spectra):
-        for tone in spectrum.tones:
-            if other != axis and all(abs(tone.frequency - f) > apart for f in [*own, *out]):
-                out.append(float(tone.frequency))
+    own = spectra[axis].tones
+    out: list[Tone] = []
+    shares = {k: _share(own, spectrum.tones, apart) for k, spectrum in enumerate(spectra) if k != axis}
+    if axis == YAW and off_axis > 0.0:
+        shares = {k: 1.0 / (2.0**0.5 * off_axis) if one is None else one for k, one in shares.items()}
+    for other, share in sorted(shares.items(), key=lambda pair: (pair[1] is None, pair[0])):
+        for tone in spectra[other].tones:
+            size = _drift(spectra[axis]).sigma if share is None else share * tone.sigma
+            near = [k for k, one in enumerate(out) if abs(tone.frequency - one.frequency) <= apart]
+            if near and share is not None:
+                out[near[0]] = replace(out[near[0]], sigma=max(size, out[near[0]].sigma))
+            elif not near and all(abs(tone.frequency - one.frequency) > apart for one in own):
+                out.append(replace(tone, sigma=size))
     return out
+
+
+def _share(own: Sequence[Tone], others: Sequence[Tone], apart: float) -> float | None:
+    """How large tones of `own` are beside those of `others` that they share; None where they share none."""
+    both = [(a.sigma, b.sigma) for a in own for b in others if abs(a.frequency - b.frequency) <= apart]
+    sizes = np.square(np.array(both).reshape(-1, 2)).sum(axis=0)
+    return float(np.sqrt(sizes[0] / sizes[1])) if both else None
 
 
 def _own_share(differences: Sequence[AngleDifferences]) -> Array:
