@@ -88,7 +88,7 @@ class PriorModel:
         size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
         return np.asarray(correlation * np.outer(size, size))
 
-    def with_turns(self, length: float) -> PriorModel:
+    def with_turns(self, length: float, jitter: float | None = None) -> PriorModel:
         """The model with a motion about the line of sight no smaller than that across it (rad).
 
         A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
@@ -100,12 +100,20 @@ class PriorModel:
         ----------
         length : float
             s; of the strip.
+        jitter : float, optional
+            How large the broadband part is beside the larger one of both axes across: it stands in the place
+            of a size that rows do not show.
         """
-        bends = [_bend(_drift(s), length) for s in self.spectra]
-        across = self.spectra[int(np.argmax(bends[:2]))]
-        if bends[2] >= max(bends[:2]):
-            return self
-        return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across, length)))
+        roll, pitch, turn = self.spectra
+        if jitter is not None:
+            largest = max(_broadband(roll), _broadband(pitch), key=lambda part: part.sigma)
+            others = [part for part in turn.components if part is not _broadband(turn)]
+            drift, tones = others[0], others[1:]
+            turn = Spectrum((drift, replace(largest, sigma=jitter * largest.sigma), *tones))
+        bends = [_bend(_drift(s), length) for s in (roll, pitch, turn)]
+        if bends[2] < max(bends[:2]):
+            turn = _larger_parts(turn, (roll, pitch)[int(np.argmax(bends[:2]))], length)
+        return replace(self, spectra=(roll, pitch, turn))
 
     def beside_relief(self, length: float) -> PriorModel:
         """The model with a drift of pitch no smaller than that of roll (rad); `length` (s) of the strip.
@@ -449,7 +457,8 @@ def fit_prior_model(
     length = max(float(d.t.max()) for d in differences) - min(float(d.t.min()) for d in differences)
     spectra = [one.spectrum for one in first]
     missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length, off_axis) for axis in range(3)]
-    corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
+    row_sigma = [_row_sigma(differences, axis) for axis in range(3)]
+    corners = _corners_elsewhere(spectra, row_sigma)
 
     def shared(axis: int) -> FittedSpectrum:
         through = () if first[axis].through else [f for one in first for f in one.through]
@@ -468,7 +477,8 @@ def fit_prior_model(
         (scales[0], scales[1], scales[2]),
         (roll.hidden, pitch.hidden, yaw.hidden),
     )
-    return model.with_turns(length)
+    hardly = off_axis > 0.0 and _broadband(yaw.spectrum).sigma < SHOWN * row_sigma[YAW]
+    return model.with_turns(length, turn_share(off_axis) if hardly else None)
 
 
 def _tones_elsewhere(
@@ -480,18 +490,14 @@ def _tones_elsewhere(
     nobody; where another axis shows it, it may be here too, as large as goes unseen. Where both axes show
     another tone, this one is about as much larger or smaller than there as that.
 
-    Notes
-    -----
-    Where they share none it may be as large as the drift, but for the turn about a line of sight that is
-    `off_axis` (the sine of how far): what is seen across it holds the body's yaw too, by that sine. Of a body
-    that yaws alone the turn is cot of the angle times what is seen, of one that shakes alike about all axes
-    as much: the mean square of both is 1 / (2 sin^2).
+    Where they share none it may be as large as the drift; the turn about a line of sight that is `off_axis`
+    (the sine of how far) is `turn_share` of it.
     """
     own = spectra[axis].tones
     out: list[Tone] = []
     shares = {k: _share(own, spectrum.tones, apart) for k, spectrum in enumerate(spectra) if k != axis}
     if axis == YAW and off_axis > 0.0:
-        shares = {k: 1.0 / (2.0**0.5 * off_axis) if one is None else one for k, one in shares.items()}
+        shares = {k: turn_share(off_axis) if one is None else one for k, one in shares.items()}
     for other, share in sorted(shares.items(), key=lambda pair: (pair[1] is None, pair[0])):
         for tone in spectra[other].tones:
             size = _drift(spectra[axis]).sigma if share is None else share * tone.sigma
@@ -501,6 +507,16 @@ def _tones_elsewhere(
             elif not near and all(abs(tone.frequency - one.frequency) > apart for one in own):
                 out.append(replace(tone, sigma=size))
     return out
+
+
+def turn_share(off_axis: float) -> float:
+    """How large the turn about a line of sight is to be expected beside what is seen across it, in rad.
+
+    Off the body's z (sine `off_axis`), what is seen across the line of sight holds the body's yaw too. Of a
+    body that shakes alike about all axes the turn is as large; of one that yaws alone it is cot of the angle
+    times that. The geometric mean of both, at least 1.
+    """
+    return float(max(1.0 / off_axis**2 - 1.0, 1.0)) ** 0.25
 
 
 def _share(own: Sequence[Tone], others: Sequence[Tone], apart: float) -> float | None:
