@@ -35,7 +35,7 @@ AXES = ("roll", "pitch", "yaw")
 #: ahead: some 90 and 230 lines.
 PRODUCTS = {
     "SPOT 5": ("spot_example1.xml", (48000, 0), 300, (0.0, 5e-4, 1.3e-3)),
-    "WorldView-2": ("wv_test1.xml", (9000, 17440), 300, (0.0, 5.5e-5, 1.4e-4)),
+    "WorldView-2": ("wv_test1.xml", (9000, 17270), 640, (0.0, 5.5e-5, 1.4e-4)),
 }
 MEASURES = ("sightline.applications.line_of_sight", "sightline.io.formats.products.worldview")
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, computes
 from sightline.estimation.likelihood import WORK
+from sightline.estimation.search import CLOSELY, SETTLED
 from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -461,7 +462,7 @@ def _compensated_pass(
         WORK * (DRAFT_WORK if strip.draft else 1.0),
         strip.known.tones,
         fitted,
-        strip.off_axis,
+        SETTLED if strip.draft else CLOSELY,
     )
     if solved.prior.relief is not None:
         model = model.beside_relief(strip.grid.step * strip.grid.count)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.estimation.evidence import EvenRate, rate_weights
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import ROUGHLY, NoiseModel, Search
+from sightline.estimation.search import ROUGHLY, SETTLED, NoiseModel, Search
 from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
 
 Array = NDArray[np.float64]
@@ -86,6 +86,7 @@ def fit_spectrum(
     elsewhere: Sequence[float] = (),
     motion: tuple[Array, Array] | None = None,
     rate_seen: bool = False,
+    settled: float = SETTLED,
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -135,6 +136,8 @@ def fit_spectrum(
         to choose, the spectrum would be one without tones or jitter.
     rate_seen : bool
         Whether that rate was seen, and is not where something hidden was put.
+    settled : float
+        Deviance that the last step of the last search gains at most.
 
     Raises
     ------
@@ -186,7 +189,7 @@ def fit_spectrum(
     model = search.with_smoothness(model)
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
-    model = search.improve(search.without_idle_tones(model), iterations)
+    model = search.improve(search.without_idle_tones(model), iterations, settled)
     known = [Tone(model.drift.sigma, f, search.narrow(f)) for f in known_tones]
     model = search.with_possible_tones(
         model, [*known, *(replace(one, sigma=one.sigma / unit) for one in possible)], false_alarm

@@ -67,6 +67,9 @@ QUICKEST = 0.3
 #: Deviance that the last step of a search gains at most, and one after which the search goes on otherwise:
 #: what tells models apart is 6 and more.
 SETTLED, ROUGHLY = 0.1, 1.0
+#: The same of a search whose end must not depend on the way that led to it, nor on rounding: parameters that
+#: hardly matter still move the motion by some thousandths of its sigma.
+CLOSELY = 1e-5
 #: A step of the search goes no farther in any parameter (logarithms), and is shortened so many times at most.
 FARTHEST_STEP, HALVINGS = 1.5, 6
 #: Second derivatives of the deviance by the logarithms of a tone's size and width, about.

@@ -21,7 +21,6 @@ from sightline.motion.strip.hyper import (
     _tones_elsewhere,
     angle_differences,
     fit_prior_model,
-    turn_share,
     window_means,
 )
 from sightline.motion.strip.joint import JointEstimate, JointPrior
@@ -232,22 +231,6 @@ class TestPriorModel:
         assert (tone.sigma, tone.frequency, tone.bandwidth) == pytest.approx((0.6, 83.0, 0.2))
         # of an axis that shares none with another nothing is known
         assert [tone.sigma for tone in _tones_elsewhere((roll, alone, alone), 2, 1.0)] == [9.0, 9.0]
-        # but for the turn about a line of sight 30 degrees off the axis: sqrt(cot 30) = 1.316 of it
-        turned = _tones_elsewhere((roll, alone, alone), 2, 1.0, off_axis=0.5)
-        assert [tone.sigma for tone in turned] == pytest.approx([0.3 * 1.316, 0.2 * 1.316], rel=1e-3)
-        assert turn_share(1.0) == turn_share(0.8) == 1.0
-
-    def test_jitter_about_the_line_of_sight_that_rows_do_not_show_is_that_seen_across(self):
-        roll, pitch, turn = (
-            Spectrum((Matern(4.0, 0.5, "5/2"), Matern(sigma, time, "3/2")))
-            for sigma, time in ((0.1, 0.01), (0.2, 0.02), (0.9, 0.03))
-        )
-        found = PriorModel((roll, pitch, turn)).with_turns(1.0, 1.5).spectra
-        assert found[:2] == (roll, pitch)
-        assert found[2].components[0] == Matern(4.0, 0.5, "5/2")
-        jitter = found[2].components[1]
-        assert isinstance(jitter, Matern)
-        assert (jitter.sigma, jitter.timescale) == pytest.approx((0.3, 0.02))
 
     def test_its_processes_have_the_variance_of_their_spectra(self):
         spectra = tuple(Spectrum((Matern(s, 0.05, "3/2"),)) for s in (1.0, 2.0, 3.0))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum, Tone
+from sightline.estimation.search import SETTLED
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
@@ -52,8 +53,6 @@ MOST_ACROSS = 0.5
 DETAIL = (2.9 + 0.9 * 1.33, 2.9 * 1.33 + 0.9, 2.9 * 1.6 + 0.9)
 #: Fewest rows of windows that tell of a pair's differences.
 FEWEST_ROWS = 8
-#: Number of the axis along the line of sight.
-YAW = 2
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ class PriorModel:
         size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
         return np.asarray(correlation * np.outer(size, size))
 
-    def with_turns(self, length: float, jitter: float | None = None) -> PriorModel:
+    def with_turns(self, length: float) -> PriorModel:
         """The model with a motion about the line of sight no smaller than that across it (rad).
 
         A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
@@ -100,20 +99,12 @@ class PriorModel:
         ----------
         length : float
             s; of the strip.
-        jitter : float, optional
-            How large the broadband part is beside the larger one of both axes across: it stands in the place
-            of a size that rows do not show.
         """
-        roll, pitch, turn = self.spectra
-        if jitter is not None:
-            largest = max(_broadband(roll), _broadband(pitch), key=lambda part: part.sigma)
-            others = [part for part in turn.components if part is not _broadband(turn)]
-            drift, tones = others[0], others[1:]
-            turn = Spectrum((drift, replace(largest, sigma=jitter * largest.sigma), *tones))
-        bends = [_bend(_drift(s), length) for s in (roll, pitch, turn)]
-        if bends[2] < max(bends[:2]):
-            turn = _larger_parts(turn, (roll, pitch)[int(np.argmax(bends[:2]))], length)
-        return replace(self, spectra=(roll, pitch, turn))
+        bends = [_bend(_drift(s), length) for s in self.spectra]
+        across = self.spectra[int(np.argmax(bends[:2]))]
+        if bends[2] >= max(bends[:2]):
+            return self
+        return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across, length)))
 
     def beside_relief(self, length: float) -> PriorModel:
         """The model with a drift of pitch no smaller than that of roll (rad); `length` (s) of the strip.
@@ -392,7 +383,7 @@ def fit_prior_model(
     work: float = WORK,
     known_tones: Sequence[float] = (),
     step: Step = no_step,
-    off_axis: float = 0.0,
+    settled: float = SETTLED,
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -416,8 +407,8 @@ def fit_prior_model(
     step : callable
         Called with the number of fits that are done, and of all: two of each axis, by itself and with what
         the others show.
-    off_axis : float
-        Sine of the angle from the body's z to the line of sight, whose axes these are; 0: the body's own.
+    settled : float
+        See `estimation.likelihood.fit_spectrum`.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
@@ -451,14 +442,14 @@ def fit_prior_model(
             elsewhere=elsewhere,
             motion=(estimate.grid.nodes, estimate.nodes[:, axis]),
             rate_seen=axis not in hidden,
+            settled=settled,
         )
 
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
     length = max(float(d.t.max()) for d in differences) - min(float(d.t.min()) for d in differences)
     spectra = [one.spectrum for one in first]
-    missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length, off_axis) for axis in range(3)]
-    row_sigma = [_row_sigma(differences, axis) for axis in range(3)]
-    corners = _corners_elsewhere(spectra, row_sigma)
+    missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
+    corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
 
     def shared(axis: int) -> FittedSpectrum:
         through = () if first[axis].through else [f for one in first for f in one.through]
@@ -477,27 +468,20 @@ def fit_prior_model(
         (scales[0], scales[1], scales[2]),
         (roll.hidden, pitch.hidden, yaw.hidden),
     )
-    hardly = off_axis > 0.0 and _broadband(yaw.spectrum).sigma < SHOWN * row_sigma[YAW]
-    return model.with_turns(length, turn_share(off_axis) if hardly else None)
+    return model.with_turns(length)
 
 
-def _tones_elsewhere(
-    spectra: Sequence[Spectrum], axis: int, apart: float, off_axis: float = 0.0
-) -> list[Tone]:
+def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[Tone]:
     """Tones, `apart` (Hz) at least, that other axes have and this one does not, as large as to be expected.
 
     What shakes a spacecraft shakes all axes of it. A tone too weak to be found by itself would be owned by
     nobody; where another axis shows it, it may be here too, as large as goes unseen. Where both axes show
-    another tone, this one is about as much larger or smaller than there as that.
-
-    Where they share none it may be as large as the drift; the turn about a line of sight that is `off_axis`
-    (the sine of how far) is `turn_share` of it.
+    another tone, this one is about as much larger or smaller than there as that; where they share none it
+    may be as large as the drift.
     """
     own = spectra[axis].tones
     out: list[Tone] = []
     shares = {k: _share(own, spectrum.tones, apart) for k, spectrum in enumerate(spectra) if k != axis}
-    if axis == YAW and off_axis > 0.0:
-        shares = {k: turn_share(off_axis) if one is None else one for k, one in shares.items()}
     for other, share in sorted(shares.items(), key=lambda pair: (pair[1] is None, pair[0])):
         for tone in spectra[other].tones:
             size = _drift(spectra[axis]).sigma if share is None else share * tone.sigma
@@ -507,16 +491,6 @@ def _tones_elsewhere(
             elif not near and all(abs(tone.frequency - one.frequency) > apart for one in own):
                 out.append(replace(tone, sigma=size))
     return out
-
-
-def turn_share(off_axis: float) -> float:
-    """How large the turn about a line of sight is to be expected beside what is seen across it, in rad.
-
-    Off the body's z (sine `off_axis`), what is seen across the line of sight holds the body's yaw too. Of a
-    body that shakes alike about all axes the turn is as large; of one that yaws alone it is cot of the angle
-    times that. The geometric mean of both, at least 1.
-    """
-    return float(max(1.0 / off_axis**2 - 1.0, 1.0)) ** 0.25
 
 
 def _share(own: Sequence[Tone], others: Sequence[Tone], apart: float) -> float | None:

@@ -177,11 +177,6 @@ class Strip:
         """(3,) rad; one pixel of roll, of pitch, and of yaw at the edge of the field."""
         return np.array([self.pixel_angle, self.pixel_angle, self.pixel_angle / self.half_field])
 
-    @property
-    def off_axis(self) -> float:
-        """Sine of the angle from the body's z to that of the axes of the estimate."""
-        return float(np.hypot(self.turn[0, 2], self.turn[1, 2]))
-
     def lines(self) -> NDArray[np.int64]:
         """Lines of the first band, gone on before and after its image from the first exposure of any band to
         the last."""
