@@ -96,7 +96,7 @@ def some(part: Part, name: str, least: int) -> list[Part]:
 
 def record_times(rows: Sequence[Part], name: str, start: str) -> Array:
     """s (N,) from the instant `start` to that of each row, increasing."""
-    zero = parse_utc(start, "start")
+    zero = parse_utc(start, f"{rows[0].path}: the first instant")
     t = np.array([elapsed(row.text(name), zero, f"{row.path}: {row.place}/{name}") for row in rows])
     late = np.flatnonzero(np.diff(t) <= 0.0)
     if len(late):
