@@ -28,8 +28,8 @@ from sightline.imaging.strip_noise import (
     StripPixels,
     conversion_bound,
     estimate_strip_noise,
-    figures,
     gain_bound,
+    noise_figures,
 )
 from sightline.io.formats.hirise_edr import read_hirise_edr
 
@@ -119,7 +119,7 @@ def main() -> None:
     edr = read_hirise_edr(IMAGE)
     print(f"{edr.product}, {edr.stages} stages, binning {edr.binning}")
     # 19.30 e-/DN: see examples/tdi_noise.py
-    for figure in figures(estimate_strip_noise(edr.pixels()), edr.stages, 19.30):
+    for figure in noise_figures(estimate_strip_noise(edr.pixels()), edr.stages, 19.30):
         print(f"  {figure}")
 
 

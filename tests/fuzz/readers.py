@@ -175,7 +175,7 @@ function("formats.odm.read_geo", "flown-lonlat", "geo.txt")
 function("formats.odm.read_gcp_list", "flown-lonlat", "gcp_list.txt")
 function("formats.envi.read_envi_wavelengths", "flown", "filter.hdr")
 function(
-    "results.raster_matches.read_matches", "shifts", "matches.csv",
+    "results.raster_matches.read_raster_matches", "shifts", "matches.csv",
     {
         "grid": [6, 1], "first": [4.5, 49.5], "step": [10, 100], "window": [10, 100], "geometry": "pixels",
         "reduced": 1, "common_px": [0.0, 0.0], "common_strength": None, "images": ["a", "b"],
@@ -196,7 +196,7 @@ def _with_poses(place: str, targets: str, *more: Any) -> None:
 
 
 function("stereo.tables.read_poses", "pair", "cameras.csv")
-_with_poses("stereo.tables.read_matches", "matches.csv", 0.1)
+_with_poses("stereo.tables.read_stereo_matches", "matches.csv", 0.1)
 _with_poses("stereo.tables.read_stereo_control", "control.csv", 0.1)
 _with_poses("stereo.tables.read_image_list", "images.csv")
 _with_poses("stereo.tables.read_observations", "observations.csv", 0.1)

@@ -24,8 +24,8 @@ from sightline.imaging.strip_noise import (
     StripPixels,
     conversion_bound,
     estimate_strip_noise,
-    figures,
     gain_bound,
+    noise_figures,
 )
 
 OPTIONS = RawStripOptions(lines=2000, gain=4e-6)
@@ -100,9 +100,9 @@ def test_a_law_in_electrons_is_that_of_the_sum(strips):
     assert found.law.output == pytest.approx(20.0 * noise.buffer.pooled.value, rel=0.03)
     # 64 lines of s / 64 with a gain noise A each have 64 A (s / 64)^2: as A / 64 of the sum
     assert found.law.gain / 64 == pytest.approx(noise.law.estimate(0).value)
-    printed = [str(f) for f in figures(noise, 64, 20.0)]
+    printed = [str(f) for f in noise_figures(noise, 64, 20.0)]
     assert all("+-" in line or "<=" in line or ">=" in line for line in printed)
-    assert [str(f) for f in figures(noise, 64)] == printed[:-4]
+    assert [str(f) for f in noise_figures(noise, 64)] == printed[:-4]
     for stages, conversion in ((0, 20.0), (64, 0.0), (64, np.nan)):
         with pytest.raises(InputError, match="above 0"):
             detector_noise([image], stages=stages, electrons_per_dn=conversion)

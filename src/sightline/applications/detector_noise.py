@@ -44,9 +44,9 @@ from sightline.imaging.strip_noise import (
     StripPixels,
     bounded_figure,
     estimate_strip_noise,
-    figures,
     law_rows,
     measured_figure,
+    noise_figures,
 )
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.result import Result, makes_result
@@ -262,7 +262,7 @@ def strip_image_noise(
         noise.dark_signal,
         float(noise.percentiles[1]),
         noise.ceiling,
-        tuple(figures(noise, stages, electrons_per_dn)),
+        tuple(noise_figures(noise, stages, electrons_per_dn)),
     )
 
 

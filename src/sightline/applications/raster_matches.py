@@ -219,7 +219,7 @@ class Overlay:
         return cls(pair.hub, pair.warped(spacing), np.zeros(2), reduced, "map", pair)
 
 
-def laid_on(a: ImageSource, b: ImageSource, geometry: str = "auto") -> Overlay:
+def overlay(a: ImageSource, b: ImageSource, geometry: str = "auto") -> Overlay:
     """Image b on the grid of image a.
 
     Parameters
@@ -385,7 +385,7 @@ def match_rasters(
             f"`search_px` is {reach:g}; 0 to {longest} px, the longest side of the images, are allowed "
             "(--search)"
         )
-    laid = laid_on(a, b, geometry)
+    laid = overlay(a, b, geometry)
     options = {"min_score": min_score, "max_sigma_px": max_sigma_px, "threads": threads}
     return match_laid(
         laid, names or _names(a, b), WINDOWS[laid.geometry], window, step, reach, progress, **options

@@ -269,7 +269,7 @@ def conversion_bound(noise: StripNoise) -> float:
     return noise.white.signal / (noise.white.bound.upper() - noise.buffer.pooled.value**2)
 
 
-def figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = None) -> list[NoiseFigure]:
+def noise_figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = None) -> list[NoiseFigure]:
     """Every figure with its sigma or as a bound of 2 sigma: of the sum in DN, then in electrons if given."""
     signal, columns = noise.white.signal, noise.columns
     least = conversion_bound(noise)

@@ -18,7 +18,7 @@ from sightline.io.results.raster_matches import (
     match_columns,
     pair_columns,
     pair_suffix,
-    read_matches,
+    read_raster_matches,
     summarize_bands,
     summarize_matches,
     write_match_tables,
@@ -94,7 +94,9 @@ class Shifts(ResultKind):
     def opened(self, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
         """The windows that were kept."""
         with foreign_errors(folder / SUMMARY, "is no summary of `match`", _AGAIN):
-            return read_matches(folder / "matches.csv", summary) | {"warnings": tuple(summary["warnings"])}
+            return read_raster_matches(folder / "matches.csv", summary) | {
+                "warnings": tuple(summary["warnings"])
+            }
 
     def draw(self, result: RasterMatches, axes: Sequence[Any]) -> None:
         """Means over rows, and over columns, with their sigma."""
@@ -183,7 +185,7 @@ class BandShifts(ResultKind):
             for pair in summary["pairs"]:
                 one = object.__new__(RasterMatches)
                 path = folder / f"matches_{'_'.join(pair['suffix'].strip('_').split('_')[:2])}.csv"
-                for name, value in (read_matches(path, pair) | {"warnings": ()}).items():
+                for name, value in (read_raster_matches(path, pair) | {"warnings": ()}).items():
                     object.__setattr__(one, name, value)
                 object.__setattr__(one, "origin", None)
                 first, second = (int(number) - 1 for number in pair["suffix"].strip("_").split("_"))

@@ -54,7 +54,7 @@ def match_page(result: RasterMatches, summary: Mapping[str, Any]) -> Page:
         warnings=summary["warnings"],
         sections=[
             *overlay_sections(result),
-            *figures(result),
+            *shift_sections(result),
             Section("windows", "What became of the windows", [_status_table(result)]),
             inputs(summary),
         ],
@@ -100,7 +100,7 @@ def band_page(result: BandMatches, summary: Mapping[str, Any]) -> Page:
     )
 
 
-def figures(result: RasterMatches) -> list[Section]:
+def shift_sections(result: RasterMatches) -> list[Section]:
     """The shifts over the image, their means, their score."""
     return [
         Section(

@@ -207,7 +207,7 @@ def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     write_json(folder / "summary.json", summary)
 
 
-def read_matches(path: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+def read_raster_matches(path: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Attributes of a `RasterMatches` from its table and the part of a summary that belongs to it.
 
     Raises

@@ -38,9 +38,9 @@ from sightline.io.stereo.tables import (
     StereoPoseTable,
     listed,
     read_image_list,
-    read_matches,
     read_observations,
     read_poses,
+    read_stereo_matches,
 )
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.problem import StereoProblem
@@ -321,7 +321,7 @@ def _points(file: StereoFile, files: InputFolder, poses: StereoPoseTable) -> tup
     sigma = file.noise.sigma_px
     if file.matches is not None:
         path = files(file.matches)
-        return read_matches(path, poses, sigma), path
+        return read_stereo_matches(path, poses, sigma), path
     if file.observations is not None:
         path = files(file.observations)
         return read_observations(path, poses, sigma), path

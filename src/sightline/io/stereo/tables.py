@@ -256,7 +256,7 @@ class PointTable:
 
 
 @reads("a CSV table")
-def read_matches(path: Path, poses: StereoPoseTable, sigma_px: float | None) -> PointTable:
+def read_stereo_matches(path: Path, poses: StereoPoseTable, sigma_px: float | None) -> PointTable:
     """``shot,point,line_1,column_1,line_2,column_2[,sigma_px]`` of two cameras."""
     if len(poses.cameras) != 2:
         raise FormatError(

@@ -220,7 +220,7 @@ def polynomial_attitude(
     whole, fraction = parse_utc(start, f"{part.path}")
     of_day = (whole - whole.replace(hour=0, minute=0, second=0)) / timedelta(seconds=1) + fraction
     offset, scale = part.number(f"{name}/OFFSET"), part.positive(f"{name}/SCALE")
-    rows = [polynomial(part, f"{polynomials}/Q{k}") for k in range(4)]
+    rows = [read_coefficients(part, f"{polynomials}/Q{k}") for k in range(4)]
 
     def components(t: Array) -> Array:
         x = (t + of_day - offset) / scale
@@ -237,7 +237,7 @@ def polynomial_attitude(
     return lambda t: Rotation.from_quat(components(t), scalar_first=True)
 
 
-def polynomial(part: Part, name: str) -> Array:
+def read_coefficients(part: Part, name: str) -> Array:
     """Coefficients, the constant first."""
     return part.numbers(f"{name}/COEFFICIENTS", part.count(f"{name}/DEGREE", 0, _MOST_DEGREE) + 1)
 

@@ -24,8 +24,8 @@ from sightline.io.formats.products.makers import (
     line_period,
     line_scan,
     orbit_of,
-    polynomial,
     polynomial_attitude,
+    read_coefficients,
     record_times,
     scaled,
     some,
@@ -130,7 +130,9 @@ def _looks(data: Part) -> Array:
         raise place.refused("LAST_COL", f"is {last} of {columns} columns from {first} on: some have no look")
     k = np.arange(columns, dtype=np.float64)
     x, y = (
-        np.polynomial.polynomial.polyval(k, polynomial(data, f"{_VIEW}/Viewing_Directions/Psi{axis}_Model"))
+        np.polynomial.polynomial.polyval(
+            k, read_coefficients(data, f"{_VIEW}/Viewing_Directions/Psi{axis}_Model")
+        )
         for axis in "XY"
     )
     return np.stack([y, -x, np.ones(columns)], axis=1)
