@@ -31,7 +31,8 @@ def turning(recovery):
     t = np.linspace(*old.span, 201)
     turned = old.at(t).world_from_body * Rotation.from_rotvec(-np.outer(t, RAMP))
     reference = Trajectory(old.t_position, old.position, t, turned, velocity=old.velocity)
-    bands = [replace(b, camera=b.camera.with_trajectory(reference)) for b in recovery.acquisition.bands]
+    base = recovery.acquisition.bands[:3]  # of four: two thirds of the pairs would say no more
+    bands = [replace(b, camera=b.camera.with_trajectory(reference)) for b in base]
     true = read_motion(recovery.scene / "truth.csv")
     # the reference falls behind by RAMP t
     whole = Rotation.from_rotvec(np.outer(true.t, RAMP)) * Rotation.from_rotvec(true.angles)
@@ -40,7 +41,7 @@ def turning(recovery):
         bands=bands,
         truth=truth,
         surface=recovery.acquisition.surface,
-        base=recovery,
+        base=base,
         truth_of_base=Motion(true.t, true.angles),
     )
 
@@ -75,6 +76,11 @@ def kept_share(result) -> float:
     return pair.kept / pair.tried
 
 
+def nees_bound(axis) -> float:
+    """How far NEES may be from 1: some 150 independent errors, sigma known to 10 % on so short a strip."""
+    return float(5.0 * np.sqrt(2.0 / axis.effective_samples) + 0.2)
+
+
 def test_a_motion_beyond_the_search_loses_the_long_lags_without_sensors(turning):
     result = recover_line_of_sight(turning.bands, turning.surface, options=ONE_PASS)
     assert kept_share(result) < 0.1
@@ -98,8 +104,7 @@ def test_a_gyro_leads_the_matches_and_a_tracker_gives_the_constant(turning):
     )
     assert kept_share(result) > 0.9
     for axis in score.axes.values():
-        # the bound of test_cli_recover: some 150 independent errors, sigma known to 10 % on so short a strip
-        assert abs(axis.nees - 1.0) < 5.0 * np.sqrt(2.0 / axis.effective_samples) + 0.2
+        assert abs(axis.nees - 1.0) < nees_bound(axis)
     # ten fixes of 3 px, known to each other by the gyro to far less
     for name in ("roll", "pitch"):
         assert score.absolute[name].sigma == pytest.approx(3.0 / np.sqrt(10.0), rel=0.1)
@@ -112,10 +117,8 @@ def test_a_gyro_leads_the_matches_and_a_tracker_gives_the_constant(turning):
 
 def test_control_points_tie_what_they_see(turning):
     rng = np.random.default_rng(6)
-    points = control(turning.base.acquisition.bands, turning.truth_of_base, turning.surface, rng, 12)
-    result = recover_line_of_sight(
-        turning.base.acquisition.bands, turning.surface, control_points=points, options=ONE_PASS
-    )
+    points = control(turning.base, turning.truth_of_base, turning.surface, rng, 12)
+    result = recover_line_of_sight(turning.base, turning.surface, control_points=points, options=ONE_PASS)
     error = result.motion.angles - turning.truth_of_base.at(result.motion.t)
     sigma = result.absolute_sigma
     assert np.isfinite(sigma).all()
@@ -127,12 +130,11 @@ def test_control_points_tie_what_they_see(turning):
 
 
 def test_a_given_spectrum_is_taken_as_it_is(turning):
-    acquisition = turning.base.acquisition
     # half a px^2 up to 60 Hz, nothing above
     px = [5e-6, 5e-6, 1.0 / 159.5]
     given = [Spectrum((TabulatedPsd((0.0, 60.0), (0.5 / 60.0, 0.5 / 60.0)),)).scaled(p) for p in px]
     known = KnownContent(spectra=(given[0], given[1], given[2]))
-    result = recover_line_of_sight(acquisition.bands, acquisition.surface, known=known, options=ONE_PASS)
+    result = recover_line_of_sight(turning.base, turning.surface, known=known, options=ONE_PASS)
     assert result.spectra == known.spectra
     found = np.abs(np.fft.rfft(result.motion.angles[:, 0] * np.hanning(640)))
     f = np.fft.rfftfreq(640, 5e-4)
@@ -140,40 +142,33 @@ def test_a_given_spectrum_is_taken_as_it_is(turning):
     assert found[f > 75.0].max() < 0.05 * found[(f > 1.0) & (f < 60.0)].max()
 
 
-def relative_error(result, truth: Motion):
-    """rms (3,) of what is left of the error after the hidden directions, px (yaw at the field's edge)."""
-    score = score_result(result, truth.t, truth.angles)
-    return np.array([axis.rms for axis in score.axes.values()])
-
-
 def test_one_wrong_reading_does_not_spoil_what_the_images_tell(turning):
-    base, truth = turning.base.acquisition, turning.truth_of_base
-    alone = turning.base.result
+    truth = turning.truth_of_base
     wrong_gyro = gyro(truth, np.random.default_rng(8), 1e-8)
     angles = wrong_gyro.angles.copy()
     angles[12, 1] += 60.0 * 5e-6
-    points = control(base.bands, truth, base.surface, np.random.default_rng(9), 6)
+    points = control(turning.base, truth, turning.surface, np.random.default_rng(9), 6)
     pixels = points.pixels.copy()
     pixels[2, 0] += 60.0
     result = recover_line_of_sight(
-        base.bands,
-        base.surface,
+        turning.base,
+        turning.surface,
         sensors=[replace(wrong_gyro, angles=angles)],
         control_points=replace(points, pixels=pixels),
         options=TWO_PASSES,
     )
-    # a tenth of the error: what one strip's rms scatters by when its weights change a little
-    assert (relative_error(result, truth) < 1.1 * relative_error(alone, truth)).all()
-    assert kept_share(result) > 0.9 * kept_share(alone)
+    # 60 px believed would be hundreds of sigmas
+    for axis in score_result(result, truth.t, truth.angles).axes.values():
+        assert abs(axis.nees - 1.0) < nees_bound(axis)
+    assert kept_share(result) > 0.9
 
 
 def test_a_given_spectrum_that_lacks_the_motion_is_said_to(turning):
-    acquisition = turning.base.acquisition
     # 20 to 60 Hz alone: the strip drifts by pixels below
     band = TabulatedPsd((0.0, 19.0, 20.0, 60.0, 61.0), (0.0, 0.0, 0.01, 0.01, 0.0))
     given = [Spectrum((band,)).scaled(p) for p in (5e-6, 5e-6, 1.0 / 159.5)]
     known = KnownContent(spectra=(given[0], given[1], given[2]))
-    result = recover_line_of_sight(acquisition.bands, acquisition.surface, known=known, options=TWO_PASSES)
+    result = recover_line_of_sight(turning.base, turning.surface, known=known, options=ONE_PASS)
     assert any("does not hold the motion that the images show" in said for said in result.warnings)
     # the windows were moved by the motion that the images show, not by what the band makes of it
     assert kept_share(result) > 0.5

@@ -214,7 +214,7 @@ class TestHiddenDrifts:
         strip = prepared(bands, recovery.acquisition.surface, RecoverOptions())
         chosen = [k for k, p in enumerate(strip.parameters) if free(p.name, p.images[0])]
         stars = [r.star for r in recovery.result.records]
-        stars = [replace(s, by_static=s.by_static[..., chosen]) for s in stars]
+        stars = [replace(s, by_static=np.ascontiguousarray(s.by_static[..., chosen])) for s in stars]
         stars = [replace(s, covariance_px=noise**2 * s.covariance_px) for s in stars]
         data = normal_equations(
             stars, [s.residual_px for s in stars], strip.grid, orders=[GroundOrder()] * len(stars)

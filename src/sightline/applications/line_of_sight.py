@@ -24,6 +24,7 @@ from sightline.estimation.search import CLOSELY, SETTLED
 from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
+from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
@@ -96,6 +97,8 @@ DRAFT_WORK = 0.3
 FOREIGN_SPECTRUM = 3.0
 #: Windows by which shapes of detector lines are found: narrow, and of enough lines to match well.
 SHAPE_WINDOW = (10, 32)
+#: px of all bands together that are read at once (32 MB).
+MOST_AT_ONCE = 8_000_000
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 #: Stages that are kept: the state after so many passes, after the last one of a wide strip, and after that
@@ -182,6 +185,7 @@ def recover_line_of_sight(
         return controlled_line_of_sight(strip)
     stages = stages or Stages()
     stages.depend([bands, surface, height_sigma, sensors, control_points, known, options])
+    strip = _read_at_once(strip)
     strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell, stages)
     if options.method == "joint":
         return result
@@ -214,6 +218,20 @@ def ready_strip(
     strip = checked(strip, options)
     check_method(options.method, strip)
     return strip, options
+
+
+def _read_at_once(strip: Strip) -> Strip:
+    """The strip with its images in memory where they are small: windows are read from them over and over."""
+    shapes = [band.image.shape for band in strip.bands]
+    if sum(lines * columns for lines, columns in shapes) > MOST_AT_ONCE:
+        return strip
+    windows = [((0, lines), (0, columns)) for lines, columns in shapes]
+    images = [
+        ArrayImage(band.image.read(*window), band.image.mask(*window))
+        for band, window in zip(strip.bands, windows, strict=True)
+    ]
+    bands = (replace(band, image=image) for band, image in zip(strip.bands, images, strict=True))
+    return replace(strip, bands=tuple(bands))
 
 
 def joint_line_of_sight(

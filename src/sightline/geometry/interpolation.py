@@ -3,6 +3,8 @@
 A cubic through the four nearest nodes needs no fit, so a long table costs nothing where it is not read, and a
 bad node spoils three intervals at most. Tables of fewer nodes use the polynomial that passes through them.
 
+The kernels are given read-only arrays alone: for arrays of another kind each would be compiled once more.
+
 Not here: which quantity is interpolated and where it ends (``trajectory.py``, ``camera.py``).
 """
 
@@ -11,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from sightline.compiled import njit
-from sightline.geometry.checks import Array
+from sightline.geometry.checks import Array, read_only
 
 #: Nodes of the local polynomial.
 POINTS = 4
@@ -24,7 +26,6 @@ def unit_weights(x: float) -> tuple[float, float, float, float]:
     return -a * b * c / 6.0, 0.5 * x * b * c, -0.5 * x * a * c, x * a * b / 6.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def stencils(nodes: Array, t: Array, most: int = POINTS) -> tuple[np.ndarray, np.ndarray, Array]:
     """Where each `t` falls among `nodes`: its interval, the first node of its stencil, the weights there.
 
@@ -46,6 +47,25 @@ def stencils(nodes: Array, t: Array, most: int = POINTS) -> tuple[np.ndarray, np
     weights : (N, min(most, A))
         Lagrange weights of the nodes first, first + 1, ...
     """
+    return _stencils(read_only(nodes), read_only(t), most)
+
+
+def interpolate(nodes: Array, values: Array, t: Array, most: int = POINTS) -> Array:
+    """Values (A, K) known at `nodes` (A,), at the places `t` (N,): (N, K), by the local cubic.
+
+    Other numbers of nodes than four (`most`) are of tables that were made for them.
+    """
+    return np.asarray(_interpolate(read_only(nodes), read_only(values), read_only(t), most))
+
+
+def interpolate_hermite(nodes: Array, values: Array, slopes: Array, t: Array) -> Array:
+    """Like `interpolate`, through values and `slopes` (A, K) of the same nodes: degree 7 instead of 3."""
+    tables = read_only(nodes), read_only(values), read_only(slopes)
+    return np.asarray(_interpolate_hermite(*tables, read_only(t), POINTS))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stencils(nodes: Array, t: Array, most: int) -> tuple[np.ndarray, np.ndarray, Array]:
     count = len(nodes)
     points = min(most, count)
     interval = np.empty(len(t), np.int64)
@@ -67,12 +87,8 @@ def stencils(nodes: Array, t: Array, most: int = POINTS) -> tuple[np.ndarray, np
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolate(nodes: Array, values: Array, t: Array, most: int = POINTS) -> Array:
-    """Values (A, K) known at `nodes` (A,), at the places `t` (N,): (N, K), by the local cubic.
-
-    Other numbers of nodes than four (`most`) are of tables that were made for them.
-    """
-    _, first, weights = stencils(nodes, t, most)
+def _interpolate(nodes: Array, values: Array, t: Array, most: int) -> Array:
+    _, first, weights = _stencils(nodes, t, most)
     out = np.zeros((len(t), values.shape[1]))
     for row in range(len(t)):
         for a in range(weights.shape[1]):
@@ -82,9 +98,8 @@ def interpolate(nodes: Array, values: Array, t: Array, most: int = POINTS) -> Ar
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolate_hermite(nodes: Array, values: Array, slopes: Array, t: Array) -> Array:
-    """Like `interpolate`, through values and `slopes` (A, K) of the same nodes: degree 7 instead of 3."""
-    _, first, weights = stencils(nodes, t)
+def _interpolate_hermite(nodes: Array, values: Array, slopes: Array, t: Array, most: int) -> Array:
+    _, first, weights = _stencils(nodes, t, most)
     points = weights.shape[1]
     out = np.zeros((len(t), values.shape[1]))
     for row in range(len(t)):

@@ -198,14 +198,15 @@ def _warp(image, position, nodes, start, slack, table, out, places, shares, flat
     for m in range(len(nodes) - 1):
         longest = max(longest, nodes[m + 1] - nodes[m])
     v = np.empty((3, longest + 8), np.float32)
+    none = np.int64(-1)  # of a type, not a literal: what it is given to would be compiled for either
     for i in range(out.shape[0]):
-        row = -1
+        row = none
         for m in range(len(nodes) - 1):
             first, last = nodes[m] - start, nodes[m + 1] - start
             n = last - first
             l0, l1 = position[i, m, 0], position[i, m + 1, 0]
             c0, c1 = position[i, m, 1], position[i, m + 1, 1]
-            before, row = row, -1
+            before, row = row, none
             if abs(l1 - l0) <= slack and abs(c1 - c0 - n) <= slack:
                 ends[0], ends[1] = shares[0] + shares[1] * c0, shares[0] + shares[1] * c1
                 row = _fast_interval(
@@ -346,7 +347,9 @@ class WarpedImage:
         if not finite.all():
             bad = ~finite if bad is None else bad | ~finite
             image = np.where(finite, image, np.float32(image[finite].mean() if finite.any() else 0.0))
-        return np.ascontiguousarray(image), bad if bad is not None and bad.any() else None
+        image = np.ascontiguousarray(image).view()
+        image.setflags(write=False)  # whether it may be written to or not: the kernel is compiled once
+        return image, bad if bad is not None and bad.any() else None
 
     def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.bool_] | None:
         """None: unusable pixels are NaN in `read`."""

@@ -349,6 +349,7 @@ def refine_windows(  # type: ignore[no-untyped-def]
     wy, wx, s = np.empty(8, np.float32), np.empty(8, np.float32), np.empty(13, np.float64)
     sums, pair = np.zeros((BLOCKS, 4), np.float64), np.zeros(2, np.float64)
     masked = bad_a.size > 0 or bad_b.size > 0
+    edge = np.int64(4)  # of a type, not a literal: what it is given to would be compiled for either
     for w in range(corner.shape[0]):
         out[w, :] = np.nan
         i0, j0 = corner[w, 0], corner[w, 1]
@@ -387,7 +388,7 @@ def refine_windows(  # type: ignore[no-untyped-def]
                 done = -1.0
                 break
             _interpolate(fb, line, column, linear[w], height, width, parts, table, wy, wx, row, patch)
-            _gradients(patch, 4, 4, height, width, b, gby, gbx)
+            _gradients(patch, edge, edge, height, width, b, gby, gbx)
             var_b = _centre(b, m, count, n)
             if not var_b > 0.0:
                 done = -2.0
