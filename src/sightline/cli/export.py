@@ -55,7 +55,7 @@ def export(
 ) -> None:
     """Write a result as CSM state, ISD, RPC, CCSDS message, C kernel, GLT, item of STAC, ..."""
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, progress, say
     from sightline.errors import InputError, failing_numbers
     from sightline.kinds.kind import earlier_export
     from sightline.kinds.open import kind_of, open_result
@@ -77,11 +77,8 @@ def export(
             opened = open_result(result)
             report(f"writing {to}")
             summary = kind_of(opened).export_into(opened, to, folder, acquisition, kernel or ())
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary["warnings"]:
-        complain("warning", warning)
     for band in summary.get("bands", ()):
         say(f"{band['name']:16}  {_how_near(band)}")
     say(", ".join(str(out / name) for name in summary["files"]))

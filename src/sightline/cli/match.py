@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
+from sightline.cli.options import (
+    AllowNetwork,
+    Json,
+    Out,
+    Overwrite,
+    Workers,
+    farthest_shift,
+    file_of_mask,
+    size_of_window,
+)
 
 if TYPE_CHECKING:
     from sightline.imaging.source import ImageSource
@@ -49,12 +58,8 @@ def match(
             "--bands: one of the bands to compare.",
         ),
     ] = None,
-    mask: Annotated[
-        Path | None, typer.Option("--mask", metavar="FILE", help="Of A's size; non-zero: do not use.")
-    ] = None,
-    mask_b: Annotated[
-        Path | None, typer.Option("--mask-b", metavar="FILE", help="Of B's size; non-zero: do not use.")
-    ] = None,
+    mask: Annotated[Path | None, file_of_mask("--mask", "A's")] = None,
+    mask_b: Annotated[Path | None, file_of_mask("--mask-b", "B's")] = None,
     geometry: Annotated[
         Geometry,
         typer.Option(
@@ -65,11 +70,7 @@ def match(
     ] = Geometry.AUTO,
     window: Annotated[
         tuple[int, int] | None,
-        typer.Option(
-            "--window",
-            metavar="LINES COLUMNS",
-            help="Of a window, in px of A: 10 100 by pixels, 32 32 on a map.",
-        ),
+        size_of_window("Of a window, in px of A: 10 100 by pixels, 32 32 on a map."),
     ] = None,
     step: Annotated[
         tuple[int, int] | None,
@@ -77,11 +78,7 @@ def match(
     ] = None,
     search: Annotated[
         float | None,
-        typer.Option(
-            "--search",
-            metavar="PX",
-            help="Furthest shift that is looked for, in px of A (64); 0: under 4 px.",
-        ),
+        farthest_shift("Furthest shift that is looked for, in px of A (64); 0: under 4 px."),
     ] = None,
     workers: Workers = None,
     overwrite: Overwrite = False,
@@ -92,7 +89,7 @@ def match(
     import time
 
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, progress, say
     from sightline.kinds.open import kind_of
 
     begun = time.perf_counter()
@@ -110,11 +107,8 @@ def match(
             result = _of_two(a, b, band, mask, mask_b, report, options)
         used = [path for path in (a, b, mask, mask_b) if path is not None]
         summary = kind_of(result).render(result, folder, report, begun, inputs=list(dict.fromkeys(used)))
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary["warnings"]:
-        complain("warning", warning)
     for one in summary.get("pairs", [summary]):
         say(f"{' - '.join(one['images']):16}  {_shift(one)}")
     say(f"{out / 'summary.json'}, {out / 'report.html'}")

@@ -60,7 +60,7 @@ def noise(
     import time
 
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, progress, say
     from sightline.kinds.noise import Noise
 
     _check(dark_level, electrons_per_dn, stages)
@@ -73,11 +73,8 @@ def noise(
         found = estimate(raw, dark, report, dark_level, electrons_per_dn, stages)
         inputs = [*raw, *dark]
         summary = Noise().render(found, folder, report, begun, inputs=inputs)
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary["warnings"]:
-        complain("warning", warning)
     tell(found, summary)
     say(f"{out / 'noise.toml'}, {out / 'columns.csv'}, {out / 'tdi.toml'}")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -142,6 +142,23 @@ Workers = Annotated[
         callback=_use_threads,
     ),
 ]
+
+
+def file_of_mask(name: str, size: str) -> Any:
+    """The option of a mask's file, of the size of what it hides."""
+    return typer.Option(name, metavar="FILE", help=f"Of {size} size; non-zero: do not use.")
+
+
+def size_of_window(help: str) -> Any:
+    """The option of a window's size."""
+    return typer.Option("--window", metavar="LINES COLUMNS", help=help)
+
+
+def farthest_shift(help: str) -> Any:
+    """The option of how far is searched."""
+    return typer.Option("--search", metavar="PX", help=help)
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]
 Seed = Annotated[
     int, typer.Option("--seed", min=0, max=2**63 - 1, help="Same seed, same scene, bit for bit.")

@@ -63,7 +63,7 @@ def orient(
     import time
 
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, print_json, progress, say
     from sightline.errors import naming
     from sightline.kinds.orientation import Orientation
 
@@ -88,11 +88,8 @@ def orient(
         with naming(file):
             stereo, found = estimate(file, method, report, raw=raw, drift=drift)
         summary = Orientation().render(found, folder, report, begun)
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary["warnings"]:
-        complain("warning", warning)
     tell(stereo, found, summary)
     say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
 

@@ -45,7 +45,7 @@ def recover(
 ) -> None:
     """Recover roll, pitch and yaw with their sigma: per line of a strip's bands, or per frame."""
     from sightline.cli.output import output_folder, stages_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, complain, progress, say
     from sightline.io.results.hidden import TABLE
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.report.words import grouped, withheld_words
@@ -60,11 +60,8 @@ def recover(
     ):
         stages = Stages(stages_folder(out), lambda text: complain("warning", text))
         summary = recover_into(folder, acquisition, report, method=method, withhold=left_out, stages=stages)
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary["warnings"]:
-        complain("warning", warning)
     for axis, unit in (("roll", "px"), ("pitch", "px"), ("yaw", "px at the field's edge")):
         motion, sigma = summary["rms_motion_px"][axis], summary["rms_sigma_px"][axis]
         say(f"{axis:5}  moved {motion:.4f} {unit} rms, known to {sigma:.4f} px (1-sigma)")

@@ -49,7 +49,7 @@ def register(
 ) -> None:
     """Lay the bands of a strip on one of them, or the frames of a spinning camera into one picture."""
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, progress, say
 
     with (
         output_folder(out, overwrite=overwrite) as folder,
@@ -58,11 +58,8 @@ def register(
         summary = register_into(
             folder, acquisition, motion, report, onto=onto, pixels=pixels and pixels.value, stack=stack
         )
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary.get("warnings", ()):
-        complain("warning", warning)
     if "pairs" not in summary:
         say(f"{summary['lines']} x {summary['columns']} px: {out / 'picture.tif'}, {out / 'picture.png'}")
         return

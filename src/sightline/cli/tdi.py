@@ -44,7 +44,7 @@ def tdi(
 ) -> None:
     """Choose TDI stages and integration ratio per column and signal, as a table looked up at line rate."""
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, progress, say
     from sightline.io.results.tdi_settings import SETTINGS, TAGS
 
     with (
@@ -52,11 +52,8 @@ def tdi(
         progress() as report,
     ):
         summary = choose_into(folder, file, motion, report, pictures=pictures, signals=signals)
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary["warnings"]:
-        complain("warning", warning)
     tell(summary)
     say(f"{out / 'choice.csv'}, {out / 'table.bin'}, {out / 'report.html'}")
     if signals is not None:

@@ -169,6 +169,16 @@ def print_json(summary: Mapping[str, Any]) -> None:
     print(json_text(summary))
 
 
+def answered(summary: Mapping[str, Any], as_json: bool) -> bool:
+    """Whether a summary printed as JSON is all that was asked for; if not, its warnings are said."""
+    if as_json:
+        print_json(summary)
+        return True
+    for warning in summary.get("warnings", ()):
+        complain("warning", warning)
+    return False
+
+
 def say(text: str) -> None:
     """Print one line of the summary meant for people, on stdout."""
     print(_line(text))

@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
+from sightline.cli.options import (
+    AllowNetwork,
+    Json,
+    Out,
+    Overwrite,
+    Workers,
+    farthest_shift,
+    file_of_mask,
+    size_of_window,
+)
 
 
 def tie(
@@ -35,10 +44,7 @@ def tie(
     band: Annotated[
         int, typer.Option("--band", metavar="N", min=1, help="Band of the reference, from 1.")
     ] = 1,
-    mask: Annotated[
-        Path | None,
-        typer.Option("--mask", metavar="FILE", help="Of the reference's size; non-zero: do not use."),
-    ] = None,
+    mask: Annotated[Path | None, file_of_mask("--mask", "the reference's")] = None,
     geoid: Annotated[
         str | None,
         typer.Option(
@@ -58,15 +64,11 @@ def tie(
     ] = 0.0,
     search: Annotated[
         float | None,
-        typer.Option("--search", metavar="PX", help="Furthest that cameras may be off, px (200)."),
+        farthest_shift("Furthest that cameras may be off, px (200)."),
     ] = None,
     window: Annotated[
         tuple[int, int] | None,
-        typer.Option(
-            "--window",
-            metavar="LINES COLUMNS",
-            help="Of a window, px: 4 100 of bands, 32 32 of frames.",
-        ),
+        size_of_window("Of a window, px: 4 100 of bands, 32 32 of frames."),
     ] = None,
     points: Annotated[
         int | None,
@@ -88,7 +90,7 @@ def tie(
 
     from sightline.applications.reference_tie import ALONE_POINTS, IMAGES, SEARCH, tie_to_reference
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.cli.terminal import answered, progress, say
     from sightline.errors import naming
     from sightline.io.formats.images import load_raster
     from sightline.io.tied import chosen_images, files_with_control_points, load_tied, read_ground
@@ -115,11 +117,8 @@ def tie(
         summary = ReferenceTies().render(
             found, folder, report, begun, name=tied.name, more=more, inputs=list(dict.fromkeys(used))
         )
-    if as_json:
-        print_json(summary)
+    if answered(summary, as_json):
         return
-    for warning in summary["warnings"]:
-        complain("warning", warning)
     for one in summary["images"]:
         line, column = one["offset_px"]
         say(
