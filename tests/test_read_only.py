@@ -36,7 +36,8 @@ def open_path():
 
 def test_a_read_only_package_works_for_another_user_without_a_home(elsewhere, open_path):
     work, temporary = open_path / "work", open_path / "temporary"
-    words = ["simulate", "line-of-sight", "--lines", "360", "--columns", "200", "--out"]
+    # few kernels, which are compiled twice here
+    words = ["simulate", "stereo", "--shots", "3", "--points", "12", "--out"]
     first = elsewhere.run_elsewhere([*words, "first"], work, temporary)
     assert first.returncode == 0, first.stderr
     notes = [line for line in first.stderr.splitlines() if "note: " in line]

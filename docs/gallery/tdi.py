@@ -4,6 +4,9 @@
 # One detector of 40 columns. The scene drifts across the columns, and most at the edges of the field.
 
 # %%
+# !sightline init --template tdi --out detector
+
+# %%
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,30 +16,10 @@ import sightline
 
 columns = np.arange(40)
 rows = [f"{c},{1 + 1e-5 * (c - 18.0) ** 2:.6f},{1e-3 * (c - 18.0):.6f}" for c in columns]
-Path("columns.csv").write_text("column,scan_velocity,slip\n" + "\n".join(rows) + "\n")
-Path("tdi.toml").write_text("""
-[grid]
-stages = { from = 3, to = 128 }
-integration_ratio = { from = 0.1, to = 1.0, step = 0.1 }
-[head]
-stages = 2
-integration_ratio = 0.25
-[noise]
-gain = 9e-6
-read = 12.0
-[columns]
-table = "columns.csv"
-[signals]
-from = 1
-to = 8000
-count = 32
-[mtf]
-optics_mtf = 0.35
-diffusion_sigma_px = 0.2
-[choice]
-full_well_line = 20000.0
-""")
-result = sightline.choose_tdi(sightline.load_tdi("tdi.toml"))
+Path("detector/columns.csv").write_text("column,scan_velocity,slip\n" + "\n".join(rows) + "\n")
+toml = Path("detector/tdi.toml")
+toml.write_text(toml.read_text().replace("count = 240 ", 'table = "columns.csv" '))
+result = sightline.choose_tdi(sightline.load_tdi(toml))
 choice = result.to_xarray()
 
 # %% [markdown]

@@ -102,7 +102,7 @@ class TestRefused:
 class TestWarned:
     def test_offsets_held_exact_are_named_where_the_passes_do_not_settle(self, recovery):
         acquisition = recovery.acquisition
-        held = [replace(band, offset_sigma_px=0.0, rotation_sigma=0.0) for band in acquisition.bands]
+        held = [replace(band, offset_sigma_px=0.0, rotation_sigma=0.0) for band in acquisition.bands[:3]]
         # the strip's offsets are of about a pixel, dozens of sigmas of the motion
         result = recover_line_of_sight(held, acquisition.surface, options=RecoverOptions(passes=1))
         unsettled, exact = result.warnings[:2]
@@ -281,7 +281,7 @@ class TestWide:
         results = []
         for threads in (1, 3):
             monkeypatch.setattr(execution, "available_processors", lambda threads=threads: threads)
-            options = RecoverOptions(draft_blocks=2, passes=2)
+            options = RecoverOptions(draft_blocks=2, passes=1)
             results.append(recover_line_of_sight(bands, Plane(0.0), options=options))
         one, three = results
         assert len(one.records) == len(three.records) > 0
@@ -307,8 +307,8 @@ def test_sigma_is_true_over_strips(recovery):
     # validation/line_of_sight.py pools long strips, and asks more.
     truth = read_motion(recovery.scene / "truth.csv")
     scores = [score_result(recovery.result, truth.t, truth.angles)]
-    scenario = line_of_sight_case("nominal", 5, lines=640, columns=320)
-    result = recover_line_of_sight(scenario.as_given(), Plane(0.0))
+    scenario = line_of_sight_case("nominal", 5, lines=400, columns=240)
+    result = recover_line_of_sight(scenario.as_given(), Plane(0.0), options=RecoverOptions(passes=2))
     scores.append(score_result(result, scenario.truth[:, 0], scenario.truth[:, 1:]))
     axes = [axis for score in scores for axis in score.axes.values()]
     degrees = sum(axis.effective_samples for axis in axes)

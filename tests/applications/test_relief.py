@@ -17,7 +17,7 @@ from sightline.simulate.scenarios import line_of_sight_case
 def strip():
     """A short strip over hills of 300 m rms."""
     scenario = line_of_sight_case("relief", 3, lines=500, columns=420)
-    return scenario, scenario.as_given()
+    return scenario, scenario.as_given()[:3]
 
 
 def scored(strip, surface, height_sigma, passes):
@@ -38,7 +38,8 @@ def owned(strip):
 
 def test_a_small_height_sigma_that_matters_only_once_matches_are_dense_is_taken():
     scenario = line_of_sight_case("relief", 3, lines=260, columns=320)
-    strip, relief = (scenario, scenario.as_given()), scenario.scene.relief
+    pan, _, *near = scenario.as_given()  # the second looks ahead by more lines than there are
+    strip, relief = (scenario, [pan, *near]), scenario.scene.relief
     # 20 m move matches by 0.009 px at the longest lag: below the noise of the first pass, above a tenth of
     # that of the last
     score = scored(strip, Dem(relief.heights, relief.transform), 20.0, passes=2)
@@ -57,7 +58,8 @@ def test_relief_left_out_must_be_owned_by_the_sigma(strip, owned):
     # pitch beside unknown relief rests on some four slow numbers
     assert bounds(4)[0] < owned.pitch.nees < owned.pitch.nees_high
     # a mean height that drifts by 300 m in a second imitates pitch: the sigma owns it
-    assert owned.pitch.sigma > 1.5 * ignored.pitch.sigma
+    # (each is known to 10 % on so short a strip)
+    assert owned.pitch.sigma > 1.2 * ignored.pitch.sigma
 
 
 def test_ground_known_to_a_kilometre_is_recovered_beside_the_motion(strip, owned):

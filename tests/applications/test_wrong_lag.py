@@ -19,7 +19,7 @@ from sightline.simulate.scenarios import line_of_sight_case
 
 @pytest.fixture(scope="module")
 def scene():
-    return line_of_sight_case("nominal", 3, lines=900, columns=320)
+    return line_of_sight_case("nominal", 3, lines=500, columns=320)
 
 
 def described(scene, k, sign=1.0, scale=1.0) -> Band:
