@@ -190,10 +190,8 @@ def predict_plan(plan: StereoPlan, method: str = "ml-track", *, tables: bool = T
     Parameters
     ----------
     plan : StereoPlan
-    method : str
-        ``ml-track`` or ``ml-pair``.
-    tables : bool
-        Whether tables against each quantity are wanted; they take tens of bounds.
+    method, tables
+        As of `predict`.
 
     Returns
     -------

@@ -39,11 +39,8 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
 
     Parameters
     ----------
-    config : AcquisitionFile
-    files : InputFolder
-        Finds the files named.
-    look : bool
-        Probe the images' content.
+    config, files, look
+        As of `bands.build_bands`.
 
     Returns
     -------

@@ -28,11 +28,8 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
 
     Parameters
     ----------
-    config : AcquisitionFile
-    files : InputFolder
-        Finds the files named.
-    look : bool
-        Probe the images' content.
+    config, files, look
+        As of `bands.build_bands`.
 
     Returns
     -------

@@ -48,17 +48,8 @@ def read_motion_knowledge(folder: Path, acquisition: Acquisition) -> RecoveredSt
 
     Parameters
     ----------
-    folder : Path
-        Its ``--out``.
-    acquisition : Acquisition
-        What the result must belong to.
-
-    Raises
-    ------
-    FormatError
-        If files are missing or damaged.
-    InputError
-        If the result is of another acquisition, or an input was changed since.
+    folder, acquisition
+        As of `read_recovered`, and so are its errors.
     """
     found = read_recovered(folder, acquisition)
     frequency, error, jitter = _error(folder)
