@@ -16,6 +16,8 @@ UV ?= uv
 
 # Compiled kernels are kept here between runs and shared by the worker processes of the tests.
 export NUMBA_CACHE_DIR ?= $(abspath $(VENV))/numba-cache
+# So are compiled modules: a program that a test starts would compile each anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: all check style test docs dist fuzz demo validate bench report-check constraints environment clean
 

@@ -168,6 +168,8 @@ def test_the_command_recovers_frames_and_writes_one_row_per_frame(tmp_path):
     scene, result = tmp_path / "scene", tmp_path / "result"
     scene.mkdir()
     write_frames(frames_case(1, **SMALL), scene)
+    with (scene / "acquisition.toml").open("a") as toml:
+        toml.write("\n[matching]\npasses = 2\n")
     assert run(["recover", str(scene / "acquisition.toml"), "--out", str(result)]) == 0
     rows = (result / "motion.csv").read_text().splitlines()
     assert rows[0].startswith("t,roll,pitch,yaw,sigma_roll") and len(rows) == 6

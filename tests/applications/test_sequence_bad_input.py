@@ -220,13 +220,13 @@ def test_positions_without_a_fix_do_not_spoil_the_rest(tmp_path):
 def controlled(tmp_path_factory) -> tuple[SequenceScenario, Path]:
     """A flight with six control points on its ground, each seen in some frames."""
     folder = tmp_path_factory.mktemp("controlled")
-    scenario = written(folder, 3, frames=40)
+    scenario = written(folder, 3, frames=26)
     rng = np.random.default_rng(0)
     t, position, attitude = scenario.poses
     cameras = frame_cameras(
-        Images(np.zeros(40), np.arange(40), t, position, attitude), [scenario.detector], [NADIR_MOUNT]
+        Images(np.zeros(26), np.arange(26), t, position, attitude), [scenario.detector], [NADIR_MOUNT]
     )
-    at = np.linspace(4, 35, 6).astype(int)
+    at = np.linspace(3, 22, 6).astype(int)
     side = 0.3 * scenario.options.shape[1] * scenario.options.gsd * np.where(np.arange(6) % 2, 1.0, -1.0)
     xy = position[at, :2] + np.column_stack([np.zeros(6), side])
     relief = scenario.ground.relief
@@ -235,7 +235,7 @@ def controlled(tmp_path_factory) -> tuple[SequenceScenario, Path]:
     true = np.column_stack([xy, relief.heights[rows, columns]])
     given = true + rng.normal(0.0, 0.1, true.shape)
     lines = ["x,y,z,sigma,image,line,column"]
-    for frame in range(0, 40, 4):
+    for frame in range(0, 26, 3):
         for point, pixel in zip(given, cameras[frame].project(true), strict=True):
             if (pixel > 8.0).all() and (pixel < np.array(scenario.options.shape) - 9.0).all():
                 pixel = pixel + rng.normal(0.0, 0.3, 2)

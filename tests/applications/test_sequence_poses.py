@@ -115,13 +115,13 @@ def test_slerp_and_displacement_between_true_anchors_are_worse_in_that_order(fli
 
 def test_covariances_hold_over_flights():
     nees = []
-    for seed in range(40, 48):
-        scenario = sequence_case("small", seed, frames=30)
+    for seed in range(40, 44):
+        scenario = sequence_case("small", seed, frames=20)
         found = georeference_sequence(problem_of(scenario))
-        error = errors_of(scenario, found)[15]
-        nees.append(error @ np.linalg.solve(found.poses.covariance[15], error))
-    # eight flights reject no factor of sigma: validation/sequence_covariance.py pools 500
-    assert_possible(np.sum(nees), 8 * 6, chance=1e-3)
+        error = errors_of(scenario, found)[10]
+        nees.append(error @ np.linalg.solve(found.poses.covariance[10], error))
+    # four flights reject no factor of sigma: validation/sequence_covariance.py pools 500
+    assert_possible(np.sum(nees), 4 * 6, chance=1e-3)
 
 
 def test_subset_follows_the_wanted_overlap_and_says_why(solved):
@@ -172,8 +172,9 @@ def test_a_rolling_shutter_tells_nothing_of_where_a_flight_lies():
     np.testing.assert_allclose(sigma[1], sigma[0], rtol=0.03)
 
 
-def test_curves_through_the_subset_start_from_attitudes_as_they_were_mended(flight):
+def test_curves_through_the_subset_start_from_attitudes_as_they_were_mended():
     # attitudes written in axes turned by a quarter: found while frames are followed, for every way
+    flight = sequence_case("small", 3, frames=30)
     problem = problem_of(flight)
     quarter = Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi])
     images = replace(problem.images, world_from_body=problem.images.world_from_body * quarter)
