@@ -24,7 +24,7 @@ from sightline.estimation.search import CLOSELY, SETTLED
 from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.imaging.source import ArrayImage
+from sightline.imaging.source import in_memory
 from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
@@ -225,12 +225,7 @@ def _read_at_once(strip: Strip) -> Strip:
     shapes = [band.image.shape for band in strip.bands]
     if sum(lines * columns for lines, columns in shapes) > MOST_AT_ONCE:
         return strip
-    windows = [((0, lines), (0, columns)) for lines, columns in shapes]
-    images = [
-        ArrayImage(band.image.read(*window), band.image.mask(*window))
-        for band, window in zip(strip.bands, windows, strict=True)
-    ]
-    bands = (replace(band, image=image) for band, image in zip(strip.bands, images, strict=True))
+    bands = (replace(band, image=in_memory(band.image)) for band in strip.bands)
     return replace(strip, bands=tuple(bands))
 
 
