@@ -11,6 +11,7 @@ from consistency import assert_possible
 from sightline.cli.main import run
 from sightline.io.formats.colmap import read_colmap_model
 from sightline.io.formats.opensfm import read_opensfm
+from sightline.io.formats.tables import read_columns
 from sightline.io.results.poses import read_pose_covariance
 from sightline.io.sequence.load import load_sequence
 
@@ -60,6 +61,12 @@ def test_other_programs_get_the_camera_that_was_found(done):
     for model in (read_colmap_model(done / "colmap"), read_opensfm(done / "reconstruction.json")[0]):
         assert model.detectors[0].focal_length_px == pytest.approx(px)
         assert model.detectors[0].distortion[0] == pytest.approx(-0.15)
+    # a flat world: the model has its axes
+    priors = read_columns(done / "colmap" / "pose_priors.csv", ("x", "cov_xx", "cov_yz"))
+    covariance = read_pose_covariance(done / "covariance.npz")
+    np.testing.assert_allclose(priors["cov_xx"], covariance.covariance[:, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(priors["cov_yz"], covariance.covariance[:, 1, 2], rtol=1e-6)
+    assert covariance.scale_sigma > 0.0 and covariance.pair_covariance is not None
 
 
 def test_the_score_compares_it_with_the_truth(flight, done, capsys):

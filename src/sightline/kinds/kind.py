@@ -37,7 +37,7 @@ Columns = Mapping[str, ArrayLike]
 #: Of a model for COLMAP beside poses.
 MODEL_FILES = (
     "colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt", "colmap/origin.csv", "colmap/rigs.txt",
-    "colmap/frames.txt",
+    "colmap/frames.txt", "colmap/pose_priors.csv",
 )  # fmt: skip
 #: Called with what is being done, in words; the progress of a command is one.
 Tell = Progress

@@ -48,6 +48,9 @@ from sightline.photogrammetry.sightings import Tracks
 
 Array = NDArray[np.float64]
 
+#: Beside a COLMAP model: positions of its images with their covariance.
+PRIORS_FILE = "pose_priors.csv"
+
 
 @dataclass(frozen=True, eq=False)
 class LevelAxes:
@@ -172,6 +175,7 @@ def write_pose_exports(
         dict(zip(columns, np.array(place)[:, None], strict=True)),
         dict.fromkeys(columns, "%.10g"),
     )
+    _write_priors(folder / "colmap" / PRIORS_FILE, model, poses, level)
     write_opensfm(folder / "reconstruction.json", whole, level.place)
     body = level.turned(poses.world_from_body)
     for name, kind, angles in (
@@ -183,6 +187,18 @@ def write_pose_exports(
         return ("geo.txt and footprints.geojson were not written: [world] has no place on the Earth",)
     _write_places(folder, sequence, poses, source, names)
     return ()
+
+
+def _write_priors(path: Path, model: Reconstruction, poses: FramePoses, level: LevelAxes) -> None:
+    """Positions of the images (of a rig: of its first camera's) with their covariance, axes of the model."""
+    axes = level.axes.inv().as_matrix()
+    rows = np.flatnonzero(np.isfinite(poses.covariance).all(axis=(1, 2)))
+    covariance = axes @ poses.covariance[rows, :3, :3] @ axes.T
+    columns: dict[str, Any] = {"image": np.array(model.names, dtype=str)[rows]}
+    columns |= {axis: model.position[rows, k] for k, axis in enumerate("xyz")}
+    pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+    columns |= {f"cov_{'xyz'[i]}{'xyz'[j]}": covariance[:, i, j] for i, j in pairs}
+    write_columns(path, columns)
 
 
 def picture_names(sequence: FrameSequence) -> tuple[str, ...]:
