@@ -373,6 +373,19 @@ def test_a_command_takes_one_thread_for_linear_algebra():
     assert ran.stdout.splitlines()[-1] == "{1}"
 
 
+def test_a_library_does_not_take_the_signal_to_end():
+    """pycolmap, where it is installed, answers SIGTERM with a dump of its stack; faulthandler does alike."""
+    words = (
+        "import faulthandler, os, signal, sys\n"
+        "from sightline.execution import signals_kept\n"
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))\n"
+        "with signals_kept():\n"
+        "    faulthandler.register(signal.SIGTERM, chain=False)\n"
+        "os.kill(os.getpid(), signal.SIGTERM)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", words], capture_output=True).returncode == 7
+
+
 def test_durations_and_sizes_are_in_the_unit_in_which_they_are_read():
     times = (0.3, 59.2, 119.0, 120.0, 5400.0, 7200.0, 9000.0, 10 * 86400.0, 1e9)
     assert [time_words(t) for t in times] == [

@@ -4,12 +4,18 @@ Six rendered frames a run, whose body wanders from one to the next; a star track
 of its own, a gyro at 10 Hz with a drift, six points whose positions are known to 10 m. NEES are of all angles
 and of the three constants, which the images hardly see, with the whole covariance.
 
+Then a spinning camera with three strips whose attitude is hardly known but by a star tracker that reads it
+at ten exposures, from drawn matches (`tests/motion/spin/test_solve.py`). What nothing else tells of its
+constants is known to the tracker's alignment and the mean of its readings: sigmas are compared with that.
+
     python validation/frame_sensors.py [--seeds 20] [--first 0]
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
 
 import gates
 import numpy as np
@@ -24,6 +30,11 @@ from sightline.motion.band import Frame
 from sightline.motion.frames.passes import FrameOptions
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.simulate.frames import FrameScenario, frames_case
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from tests.motion.spin.test_solve import EXPOSURES, tracked  # noqa: E402
 
 Array = NDArray[np.float64]
 
@@ -83,6 +94,25 @@ def _over(error: Array, covariance: Array) -> float:
     return float(error @ np.linalg.solve(covariance, error) / len(error))
 
 
+def spins(seeds: range) -> None:
+    """NEES of a spinning camera with a star tracker, and its sigma beside the bound."""
+    mean = np.kron(np.full(EXPOSURES, 1.0 / EXPOSURES), np.eye(3))
+    every, constant, sigmas = [], [], []
+    for seed in seeds:
+        angles, found = tracked(seed, axes=3)
+        error, covariance = (found.angles - angles).ravel(), found.angle_covariance
+        of_mean = mean @ covariance @ mean.T
+        every.append(_over(error, covariance))
+        constant.append(_over(mean @ error, of_mean))
+        sigmas.append(np.sqrt(np.diag(of_mean)))
+        print(f"spin {seed}: NEES of all angles {every[-1]:.2f}, of the constants {constant[-1]:.2f}")
+    gates.check("spins: NEES of all angles, pooled", float(np.mean(every)), 0.8, 1.25)
+    gates.check("spins: NEES of the constants, pooled", float(np.mean(constant)), 0.8, 1.25)
+    # across its axis the body in the images tells more; the largest is what only the tracker tells
+    bound = float(np.hypot(3e-5, 2e-5 / np.sqrt(EXPOSURES)))
+    gates.check("spins: largest sigma over its bound", float(np.mean(sigmas, axis=0).max()) / bound, 0.9, 1.1)
+
+
 def main() -> None:
     """Run the flights and print what their sigma is worth."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -102,6 +132,7 @@ def main() -> None:
     print(f"sigma of the constants, px: {np.array2string(np.mean(sigmas, axis=0), precision=3)}")
     gates.check("NEES of all angles, pooled", float(np.mean(every)), 0.8, 1.25)
     gates.check("NEES of the constants, pooled", float(np.mean(constant)), 0.8, 1.25)
+    spins(range(given.first, given.first + given.seeds))
 
 
 if __name__ == "__main__":

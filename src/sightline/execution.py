@@ -441,6 +441,24 @@ def _serve(connection: Connection[Any, Any], threads: int) -> None:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
+@contextmanager
+def signals_kept() -> Iterator[None]:
+    """Signals do after it what they did before.
+
+    A library that is imported inside may have taken SIGTERM for a dump of its stack: a command that is asked
+    to end would then end without tidying up.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heeded = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        # what Python knows of it has not changed, what the system calls may have
+        signal.signal(signal.SIGTERM, signal.SIG_DFL if heeded is None else heeded)
+
+
 class DaskExecutor(_Submitting):
     """The workers of a dask cluster: of a running one, by the address of its scheduler, or of this machine.
 

@@ -42,11 +42,11 @@ def place(t: float) -> np.ndarray:
     return np.array([0.0, 0.0, DISTANCE]) + SPEED * t
 
 
-def case(seed: int, *, noise: float = NOISE):
-    """Truth, frames with nominal cameras, and matches of points of a sphere."""
+def case(seed: int, *, noise: float = NOISE, axes: int = 1):
+    """Truth, frames with nominal cameras, and matches of points of a sphere; departures about some axes."""
     rng = np.random.default_rng(seed)
     departures = np.zeros((EXPOSURES, 3))
-    departures[:, 0] = rng.normal(0.0, 3e-5, EXPOSURES)
+    departures[:, :axes] = rng.normal(0.0, 3e-5, (EXPOSURES, axes))
     lines = tuple(line - 4.0 for line in NOMINAL)
     truth = SpinningCamera(
         FOCAL, 199.5, lines, np.array([1.0, 2e-3, -1e-3]), TURN + 1e-4, departures, attitude()
@@ -223,9 +223,9 @@ def test_one_lag_per_pair_confounds_rate_and_places_of_the_strips():
     assert spread[1] < 0.3 * spread[0]
 
 
-def tracked(seed):
+def tracked(seed, axes=1):
     """The attitude at t = 0 is hardly known, and a star tracker reads the body at every exposure."""
-    truth, spin, frames, pairs, stars = case(seed)
+    truth, spin, frames, pairs, stars = case(seed, axes=axes)
     rng = np.random.default_rng(100 + seed)
     t = INTERVAL * np.arange(EXPOSURES)
     true = Rotation.from_matrix([truth.world_from_body(k) for k in range(EXPOSURES)])

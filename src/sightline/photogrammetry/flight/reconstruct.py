@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, InputError
+from sightline.execution import signals_kept
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.imaging.source import ImageSource, read_padded
@@ -168,7 +169,8 @@ def check_modelling(sigma: Array) -> Any:
     """
     check_positions(sigma)
     try:
-        import pycolmap
+        with signals_kept():
+            import pycolmap
     except ImportError:
         raise InputError(
             "photogrammetry on a subset needs pycolmap, which is not installed; run "

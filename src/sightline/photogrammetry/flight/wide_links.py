@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError, SightlineError
+from sightline.execution import signals_kept
 from sightline.geometry.checks import Array, frozen
 from sightline.imaging.reduce import ReducedImage, pattern_means, whole_pixels
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
@@ -197,7 +198,8 @@ def _verified(
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
     """Of each pair that shows the same ground, features (N, 2) in both, pixels of the reduced frames."""
     try:
-        import pycolmap
+        with signals_kept():
+            import pycolmap
     except ImportError:
         raise InputError(
             "too few windows could be followed from frame to frame (little overlap, or steps or turns too "
