@@ -239,17 +239,6 @@ def choose_hubs(shared: Array) -> tuple[int, ...]:
     return tuple(sorted(hubs))
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Where one frame shows the points of a hub: rows, pixels and the two shares of the error (px^2)."""
-
-    image: int
-    rows: NDArray[np.intp]
-    pixels: Array
-    own: Array
-    hub: Array
-
-
 def _match_hub(
     sources: Sequence[ImageSource],
     cameras: Sequence[FrameCamera],
