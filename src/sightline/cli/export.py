@@ -31,8 +31,8 @@ def export(
         Path,
         typer.Argument(
             metavar="RESULT",
-            help="Folder that `recover` or `georeference` wrote; or an ACQUISITION.toml, for its cameras as "
-            "they are given.",
+            help="Folder that `recover`, `georeference`, `register` or `orient` wrote; or an "
+            "ACQUISITION.toml, for its cameras as they are given.",
         ),
     ],
     to: Annotated[str, typer.Option("--to", metavar="FORM", help=f"One of {', '.join(FORMS)}.")],
@@ -42,7 +42,8 @@ def export(
         typer.Option(
             "--acquisition",
             metavar="FILE",
-            help="ACQUISITION.toml that the result was recovered from; forms that hold a camera need it.",
+            help="ACQUISITION.toml that the result was recovered or registered from, STEREO.toml of "
+            "`orient`; forms that hold a camera need it.",
         ),
     ] = None,
     kernel: Annotated[

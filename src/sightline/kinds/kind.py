@@ -280,12 +280,8 @@ class ResultKind:
     def exported(self, result: Any, acquisition: Any) -> Exported:
         """What a result gives to other programs; `acquisition` is what it was made of, or None."""
         raise InputError(
-            f"a {type(result).__name__} is not exported; results of `recover` and `georeference` are"
-            + (
-                ": what `orient` found for other programs is in its own folder"
-                if self.table == "orientation"
-                else ""
-            )
+            f"a {type(result).__name__} is not exported; results of `recover`, `georeference`, `register` "
+            "and `orient` are"
         )
 
     def export(

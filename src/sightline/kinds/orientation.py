@@ -15,14 +15,18 @@ from sightline.applications.stereo_orientation import StereoOrientation
 from sightline.applications.stereo_prediction import MOST_TABLED, Improvement, StereoPrediction, improvements
 from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
 from sightline.evaluation.direction_words import AXES, angle_names
+from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.geometry.units import ARCSEC
+from sightline.io.formats.footprints import feature_of, ground_outlines
 from sightline.io.formats.tables import read_columns
 from sightline.io.names import file_stems
+from sightline.io.results.catalog import strip_features
+from sightline.io.results.exports import OF_PLACE, Exported
 from sightline.io.results.stereo import ORIENTATION, write_stereo_result
-from sightline.io.results.stereo_exports import write_exports
+from sightline.io.results.stereo_exports import corrections, write_exports
 from sightline.io.results.stereo_predicted import write_prediction
-from sightline.io.stereo.load import Stereo
+from sightline.io.stereo.load import Stereo, read_stereo
 from sightline.io.stereo.plan import PlannedPass
 from sightline.io.stereo.strips import StripProblem
 from sightline.io.stereo.tables import StereoPoseTable
@@ -31,6 +35,7 @@ from sightline.kinds.kind import (
     REPORT,
     SUMMARY,
     Columns,
+    OpenedFolder,
     ResultKind,
     Tell,
     columns_of,
@@ -92,6 +97,31 @@ class Orientation(ResultKind):
     def variables(self, result: Any) -> Mapping[str, Any]:
         """The covariance of all angles."""
         return {"covariance": (("angle", "angle_too"), result.covariance, "rad2")}
+
+    def exported(self, result: StereoOrientation, acquisition: Any) -> Exported:
+        """What the images cover, by their corrected attitudes; `acquisition` is the STEREO.toml."""
+        opened = result.origin if isinstance(result.origin, OpenedFolder) else None
+        if acquisition is None and opened is not None:
+            raise InputError(
+                "what `orient` found holds no camera (attitudes for other programs are in its own folder): "
+                "add --acquisition FILE, the STEREO.toml of it"
+            )
+        stereo = stereo_of(result) if acquisition is None else read_stereo(Path(acquisition))
+        problem = stereo.problem
+        if problem.cameras != tuple(result.cameras):
+            raise InputError(
+                f"{stereo.path}: its cameras are {', '.join(problem.cameras)}, those of the result "
+                f"{', '.join(result.cameras)}; give the file that it was found from"
+            )
+        if not np.isfinite(result.angles).all():
+            raise InputError("some angles of the result are not observable: no attitude says what is covered")
+        images = problem.images
+        return Exported(
+            stereo.name, images.t, images.world_from_body.as_quat(), None, problem.epoch, None,
+            footprints=_outlines(stereo, result), radii=(stereo.another_body and problem.radii) or WGS84,
+            folder=None if opened is None else opened.folder,
+            files=() if opened is None else tuple(opened.names), only=OF_PLACE,
+        )  # fmt: skip
 
     def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
         """The tables, the model, attitudes of the cameras that the summary names."""
@@ -223,6 +253,36 @@ class _Unsaved(PlannedPass):
     def input_hashes(self) -> dict[str, str]:
         """None."""
         return {}
+
+
+def _outlines(stereo: Stereo, result: StereoOrientation) -> tuple[dict[str, Any], ...]:
+    """GeoJSON features of what each image shows by its corrected attitude; none in a flat world."""
+    problem = stereo.problem
+    if problem.radii is None:
+        return ()
+    radii = problem.radii
+    if isinstance(problem, StripProblem):
+        return tuple(
+            strip_features(dict(zip(problem.cameras, problem.strips, strict=True)), stereo.surface, radii)
+        )
+    images = problem.images
+    turned = images.world_from_body * corrections(problem, result)
+    out: list[dict[str, Any]] = []
+    for number, name in enumerate(problem.cameras):
+        rows = np.flatnonzero(images.camera == number)
+        ground = ground_outlines(
+            problem.detectors[number],
+            problem.mounts[number],
+            images.position[rows],
+            turned[rows],
+            stereo.surface,
+        )
+        for row, outline in zip(rows.tolist(), ground, strict=True):
+            shot = float(problem.shot_names[images.shot[row]])
+            said = {"camera": name, "shot": shot, "t": float(images.t[row])}
+            if np.isfinite(outline).all():
+                out.append(feature_of(np.degrees(to_geodetic(outline, radii)[:, :2]), said))
+    return tuple(out)
 
 
 def stereo_of(result: Any) -> Stereo:

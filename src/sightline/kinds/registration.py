@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 
 from sightline.applications.registration import Registration, fit_every_pair
-from sightline.errors import FormatError, foreign_errors
+from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.execution import part_of, steps_of
 from sightline.io.acquisition.acquired import Acquisition
+from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats.images import open_image
+from sightline.io.results.exports import OF_PLACE, Exported
 from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.io.results.recovered import Recovered
 from sightline.io.results.registered import write_products
 from sightline.io.results.registered_frames import without_margin, write_colours, write_values
 from sightline.io.results.registration import summarize_registration
-from sightline.kinds.kind import REPORT, SUMMARY, Columns, ResultKind, Tell, given
+from sightline.kinds.kind import REPORT, SUMMARY, Columns, OpenedFolder, ResultKind, Tell, given
 from sightline.kinds.recovery import acquisition_of
 from sightline.products.frame_mosaic import Mosaic
 from sightline.report.register_page import register_page
@@ -123,6 +125,32 @@ class Registered(ResultKind):
         ]
         after = tuple(open_image(folder / file, number) for file, number in places)
         return {"reference": reference, "after": after}
+
+    def exported(self, result: Registration, acquisition: Any) -> Exported:
+        """What the images cover: the ground of the band whose grid they have, by its camera as given."""
+        opened = result.origin if isinstance(result.origin, OpenedFolder) else None
+        if isinstance(acquisition, str | Path):
+            acquisition = load_acquisition(acquisition, look=False)
+        if acquisition is None and opened is None:
+            acquisition = acquisition_of(result)
+        if acquisition is None:
+            raise InputError(
+                "registered images hold no camera: add --acquisition FILE, the ACQUISITION.toml that they "
+                "were registered from"
+            )
+        names = [band.name for band in acquisition.bands]
+        onto = names[result.reference] if opened is None else str(opened.summary["onto"])
+        if onto not in names:
+            raise InputError(f"{acquisition.path}: has no band {onto!r}, onto whose grid images were laid")
+        camera = acquisition.bands[names.index(onto)].camera
+        t = camera.times(np.arange(float(camera.lines)))
+        pose = camera.trajectory.at(t)
+        return Exported(
+            acquisition.name, t, pose.world_from_body.as_quat(), None, acquisition.epoch, None, pose.position,
+            acquisition, {onto: camera},
+            folder=None if opened is None else opened.folder,
+            files=() if opened is None else tuple(opened.names), only=OF_PLACE,
+        )  # fmt: skip
 
     def draw(self, result: Registration, axes: Sequence[Any]) -> None:
         """How far each pair was apart and is."""

@@ -149,3 +149,27 @@ def _steps(igm):
     row, column = igm.shape[1] // 2, igm.shape[2] // 2
     here = igm[:2, row, column]
     return np.stack([igm[:2, row + 1, column] - here, igm[:2, row, column + 1] - here])
+
+
+def test_registered_bands_cover_what_the_band_does_whose_grid_they_have(strip, tmp_path):
+    from sightline import register_bands
+    from sightline.geometry.trajectory import Motion
+
+    acquired = strip.acquisition
+    still = Motion(strip.t, np.zeros((len(strip.t), 3)))
+    result = register_bands(acquired.bands, acquired.surface, still, onto="XS")
+    said = result.export("stac", tmp_path / "stac")
+    item = json.loads((tmp_path / "stac" / "stac.json").read_text())
+    assert said["to"] == "stac" and item["id"] == "over_the_sea"
+    lines, columns = acquired.bands[1].camera.shape
+    corners = [[-0.5, -0.5], [-0.5, columns - 0.5], [lines - 0.5, -0.5], [lines - 0.5, columns - 0.5]]
+    seen = acquired.bands[1].camera.locate(corners, acquired.surface)
+    from pyproj import Transformer
+
+    lonlat = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*seen.T)
+    west, south, east, north = item["bbox"]
+    # degrees; 1e-9 are written
+    assert [west, east] == pytest.approx([lonlat[0].min(), lonlat[0].max()], abs=2e-9)
+    assert [south, north] == pytest.approx([lonlat[1].min(), lonlat[1].max()], abs=2e-9)
+    with pytest.raises(InputError, match="of this result there are stac and geoparquet"):
+        result.export("csm", tmp_path / "csm")

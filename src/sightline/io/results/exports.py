@@ -103,13 +103,18 @@ class Exported:
     flight : bool
         Whether it is poses of a flight, which have no acquisition.
     footprints : tuple of dict
-        GeoJSON features of the frames of a flight, where they have a place on a body.
+        GeoJSON features of the frames of a flight, or of images of several cameras, where they have a place
+        on a body.
     folder : Path or None
         Where the result lies, if it does.
     files : tuple of str
         Names of its files, below it.
     cube : mapping or None
         Entry ``cube`` of the summary of a flight.
+    radii : (equatorial, polar)
+        m; of the body that `footprints` are on.
+    only : tuple of str
+        Forms that there are of such a result; empty: all.
     """
 
     name: str
@@ -126,18 +131,26 @@ class Exported:
     folder: Path | None = None
     files: tuple[str, ...] = ()
     cube: Mapping[str, Any] | None = None
+    radii: tuple[float, float] = WGS84
+    only: tuple[str, ...] = ()
 
     def covers(self, to: str) -> tuple[tuple[dict[str, Any], ...], tuple[float, float]]:
         """GeoJSON features of what is covered, and the radii of the body."""
-        if not self.flight:
+        if not self.flight and self.cameras:
             acquired, radii = self.needs_body(to)
             return tuple(strip_features(self.cameras, acquired.surface, radii)), radii
+        if not self.footprints and not self.flight and self.only:
+            raise InputError(
+                f"--to {to} needs a place on a body, and these axes are local: give [world] another"
+            )
+        if not self.footprints and not self.flight:
+            self.needs_body(to)
         if not self.footprints:
             raise InputError(
                 f"--to {to} needs a place on the Earth, which this flight has not: give [world] an "
                 "origin, or another frame, and run `sightline georeference` again"
             )
-        return self.footprints, WGS84
+        return self.footprints, self.radii
 
     def needs_cameras(self, to: str) -> Acquisition:
         """The acquisition, where a form holds cameras of a strip.
@@ -249,6 +262,11 @@ def write_export(to: str, folder: Path, exported: Exported, kernels: tuple[Path,
         raise InputError(f"`to` is {to!r}; allowed are {', '.join(EXPORTS)}")
     if kernels and to not in WITH_KERNELS:
         raise InputError(f"--kernel is for --to {' and '.join(WITH_KERNELS)}; leave it out with --to {to}")
+    if exported.only and to not in exported.only:
+        raise InputError(
+            f"--to {to} is of what `recover` and `georeference` find; of this result there are "
+            f"{' and '.join(exported.only)}"
+        )
     begun = time.perf_counter()
     found = EXPORTS[to](folder, exported, kernels)
     inputs = {} if exported.acquisition is None else exported.acquisition.input_hashes()
@@ -692,5 +710,7 @@ EXPORTS: dict[str, Callable[[Path, Exported, tuple[Path, ...]], dict[str, Any]]]
 }
 #: Forms that take SPICE kernels.
 WITH_KERNELS: tuple[str, ...] = ("ck", "isis")
+#: Forms for catalogues: what is covered, and when.
+OF_PLACE: tuple[str, ...] = ("stac", "geoparquet")
 #: Forms that hold what a recovered motion did, so that there are none without it.
 OF_MOTION: tuple[str, ...] = ("shifts", "isis")
