@@ -225,6 +225,42 @@ def test_frames_of_a_flight_are_tied_one_by_one(scene, tmp_path):
     opened.write(tmp_path / "copy")
 
 
+def test_images_of_several_cameras_are_tied_and_oriented_by_it(scene, tmp_path):
+    """Two of the frames as cameras of one shot: `orient` finds the attitudes that they were made with."""
+    half, rows = np.sqrt(0.5), ["camera,shot,t,x,y,z,qx,qy,qz,qw"]
+    rows += [f"{k + 1},1,0,0,{100.0 + 80.0 * k},{HEIGHT},{half},{half},0,0" for k in range(2)]
+    (scene / "cameras.csv").write_text("\n".join(rows) + "\n")
+    (scene / "pictures.csv").write_text("camera,shot,image\n1,1,frames/f0.npy\n2,1,frames/f1.npy\n")
+    (scene / "stereo.toml").write_text(f"""cameras = "cameras.csv"
+images = "pictures.csv"
+
+[world]
+frame = "local"
+
+[camera]
+shape = [200, 240]
+focal_length_px = {1.0 / IFOV}
+
+[noise]
+sigma_px = 0.1
+sigma_position = 0.1
+sigma_attitude = 0.05
+attitude_knowledge = "independent"
+
+[surface]
+height = 0.0
+""")
+    tied, found = tmp_path / "tied", tmp_path / "found"
+    assert tie(scene, "stereo.toml", tied) == 0
+    table = (tied / "control_points.csv").read_text()
+    assert "1/1" in table and "2/1" in table and ",sigma_px" in table
+    assert run(["orient", str(tied / "stereo.toml"), "--out", str(found)]) == 0
+    rows = np.genfromtxt(found / "orientation.csv", delimiter=",", names=True)
+    for axis, angle in zip(("roll", "pitch", "yaw"), ANGLES, strict=True):
+        off = (rows[axis] - angle) / rows[f"sigma_{axis}"]
+        assert np.isfinite(off).all() and (np.abs(off) < 5.0).all(), (axis, off)
+
+
 @pytest.mark.parametrize(
     ("reference", "more", "status", "said"),
     [

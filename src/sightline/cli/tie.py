@@ -23,7 +23,8 @@ def tie(
     acquisition: Annotated[
         Path,
         typer.Argument(
-            metavar="FILE.toml", help="An ACQUISITION (\\[[band]] or \\[[frame]]) or a SEQUENCE.toml."
+            metavar="FILE.toml",
+            help="An ACQUISITION (\\[[band]] or \\[[frame]]), a STEREO (images) or a SEQUENCE.toml.",
         ),
     ],
     reference: Annotated[
@@ -126,5 +127,5 @@ def tie(
             f"{column:+.2f} columns (median), a match is known to {one['sigma_px'][0]:.3f}, "
             f"{one['sigma_px'][1]:.3f} px"
         )
-    command = {"acquisition": "recover", "sequence": "georeference"}[tied.kind]
+    command = {"acquisition": "recover", "stereo": "orient", "sequence": "georeference"}[tied.kind]
     say(f"next: sightline {command} {out / next(iter(more))} --out DIR")

@@ -1,4 +1,4 @@
-"""What `tie` ties: images with cameras of an ACQUISITION or a SEQUENCE.toml; the file with control points.
+"""What `tie` ties: images and cameras of an ACQUISITION, a STEREO or a SEQUENCE.toml; it with control points.
 
 Not here: the control points (``applications/reference_tie.py``).
 """
@@ -30,6 +30,7 @@ from sightline.io.formats.tables import csv_cell
 from sightline.io.init.bands import path_from
 from sightline.io.names import toml_string, toml_value
 from sightline.io.sequence.load import read_sequence
+from sightline.io.stereo.load import read_stereo, read_stereo_file
 from sightline.photogrammetry.frame_cameras import frame_cameras
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ class TiedImages:
     ----------
     path : Path
     kind : str
-        "acquisition" or "sequence".
+        "acquisition", "stereo" or "sequence".
     name : str
     names : tuple of str
     images, cameras : tuple
@@ -75,7 +76,7 @@ class TiedImages:
 
 
 def load_tied(path: Path) -> TiedImages:
-    """Images and cameras of an ACQUISITION.toml or a SEQUENCE.toml.
+    """Images and cameras of an ACQUISITION.toml, a STEREO.toml with `images`, or a SEQUENCE.toml.
 
     Raises
     ------
@@ -96,6 +97,8 @@ def load_tied(path: Path) -> TiedImages:
             path, kind, acquired.name, acquired.names, acquired.images, acquired.cameras, local, radii,
             _to_table(config.world, radii, local), acquired.inputs,
         )  # fmt: skip
+    if kind == "stereo":
+        return _stereo_images(path)
     if kind == "sequence":
         sequence = read_sequence(path)
         problem = sequence.problem
@@ -108,9 +111,31 @@ def load_tied(path: Path) -> TiedImages:
             _to_table(sequence.world, radii, local), sequence.inputs,
         )  # fmt: skip
     raise InputError(
-        f"{path}: is a {kind} file; `tie` takes an ACQUISITION.toml ([[band]] or [[frame]]) or a "
-        "SEQUENCE.toml"
+        f"{path}: is a {kind} file; `tie` takes an ACQUISITION.toml ([[band]] or [[frame]]), a STEREO.toml "
+        "(images) or a SEQUENCE.toml"
     )
+
+
+def _stereo_images(path: Path) -> TiedImages:
+    """Pictures of a STEREO.toml, called "camera/shot" as its control points call them."""
+    stereo = read_stereo(path)
+    problem, pictures = stereo.problem, stereo.pictures
+    if pictures is None:
+        raise InputError(
+            f"{path}: names no pictures; `tie` needs images = FILE (camera,shot,image); of [[strip]] tie the "
+            "ACQUISITION.toml"
+        )
+    every = frame_cameras(problem.images, problem.detectors, problem.mounts)
+    rows = pictures.image.tolist()
+    names = tuple(
+        f"{problem.cameras[problem.images.camera[row]]}/{problem.shot_names[problem.images.shot[row]]:g}"
+        for row in rows
+    )
+    local, radii = problem.radii is None, problem.radii or WGS84
+    return TiedImages(
+        path, "stereo", stereo.name, names, tuple(pictures.sources), tuple(every[row] for row in rows), local,
+        radii, _to_table(read_stereo_file(path).world, radii, local), stereo.inputs,
+    )  # fmt: skip
 
 
 def _to_table(world: WorldSection, radii: tuple[float, float], local: bool) -> Callable[[Array], Array]:
@@ -191,8 +216,9 @@ def _bounds(tied: TiedImages) -> Bounds | None:
 # ---------------------------------------------------------------------------- the file with control points
 
 
-#: Of frames in a table: a copy whose images are found from where it lies.
+#: Of images in a table: a copy whose images are found from where it lies; keys that name such a table.
 FRAMES = "frames.csv"
+TABLES = {"sequence": "frames", "stereo": "images"}
 
 
 def files_with_control_points(tied: TiedImages, folder: Path, sigma_px: float) -> dict[str, str]:
@@ -212,8 +238,8 @@ def files_with_control_points(tied: TiedImages, folder: Path, sigma_px: float) -
         If control points cannot be added to the file.
     """
     text, more = with_control_points(tied, folder, sigma_px), {}
-    if tied.kind == "sequence":
-        named = tomllib.loads(tied.path.read_text(encoding="utf-8")).get("frames", "")
+    if tied.kind in TABLES:
+        named = tomllib.loads(tied.path.read_text(encoding="utf-8")).get(TABLES[tied.kind], "")
         table = located(tied.path.parent, str(named))
         if named and table.is_file():
             more[FRAMES] = _moved_table(table, tied.path.parent, folder)
@@ -234,11 +260,12 @@ def _moved_table(table: Path, base: Path, folder: Path) -> str:
     heads = next((row for row in rows if not row[0].startswith("#")), [])
     if "image" not in heads:
         return table.read_text(encoding="utf-8")
-    at, out = heads.index("image"), []
+    files, out = [k for k, head in enumerate(heads) if head in ("image", "mask")], []
     for row in rows:
         moved = list(row)
-        if row is not heads and len(row) > at and not row[0].startswith("#"):
-            moved[at] = path_from(located(base, row[at]), folder)
+        for at in files:
+            if row is not heads and len(row) > at and row[at] and not row[0].startswith("#"):
+                moved[at] = path_from(located(base, row[at]), folder)
         out.append(",".join(map(csv_cell, moved)))
     return "\n".join(out) + "\n"
 
@@ -273,7 +300,10 @@ def with_control_points(tied: TiedImages, folder: Path, sigma_px: float) -> str:
     ]
     old = re.compile(r"^\s*(control_points|control_sigma_px|gcp_list|gcp_sigma)\s*=")
     lines = [f"# {line}" if old.match(line) else line for line in lines]
-    if tied.kind == "sequence":
+    if tied.kind == "stereo":
+        # its table of control points has a column for it
+        given = [line for line in given if not line.startswith("control_sigma_px")]
+    if tied.kind != "acquisition":
         lines = [*given, *lines]
     else:
         at = next((n for n, line in enumerate(lines) if re.match(r"^\s*\[acquisition\]", line)), None)

@@ -25,7 +25,7 @@ class ReferenceTies(ResultKind):
     table, index, files = "control_points", ("point",), TIE_FILES
     units = {
         **dict.fromkeys(("x", "y", "z", "sigma", "sigma_ground"), "m"),
-        **dict.fromkeys(("line", "column", "lines", "offset_line", "offset_column"), "px"),
+        **dict.fromkeys(("line", "column", "lines", "sigma_px", "offset_line", "offset_column"), "px"),
         **dict.fromkeys(("sigma_line", "sigma_column"), "px"),
     }
 

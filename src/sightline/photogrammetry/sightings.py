@@ -68,6 +68,12 @@ class Tracks(ReadOnlyArrays):
     pixels: Array
     sigma_px: Array
 
+    @classmethod
+    def none(cls) -> Tracks:
+        """No point at all."""
+        nothing = np.empty(0, dtype=np.intp)
+        return cls(nothing, nothing, np.empty((0, 2)), np.empty(0))
+
     def __post_init__(self) -> None:
         """Check and freeze."""
         object.__setattr__(self, "image", as_index(self.image, "image"))

@@ -158,9 +158,9 @@ def test_registered_bands_cover_what_the_band_does_whose_grid_they_have(strip, t
     acquired = strip.acquisition
     still = Motion(strip.t, np.zeros((len(strip.t), 3)))
     result = register_bands(acquired.bands, acquired.surface, still, onto="XS")
-    said = result.export("stac", tmp_path / "stac")
+    result.export("stac", tmp_path / "stac")
     item = json.loads((tmp_path / "stac" / "stac.json").read_text())
-    assert said["to"] == "stac" and item["id"] == "over_the_sea"
+    assert item["id"] == "over_the_sea"
     lines, columns = acquired.bands[1].camera.shape
     corners = [[-0.5, -0.5], [-0.5, columns - 0.5], [lines - 0.5, -0.5], [lines - 0.5, columns - 0.5]]
     seen = acquired.bands[1].camera.locate(corners, acquired.surface)

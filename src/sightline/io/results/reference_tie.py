@@ -21,8 +21,8 @@ from sightline.version import VERSION
 
 #: Every file that `tie` may leave.
 TIE_FILES = (
-    "control_points.csv", "ties.csv", "acquisition.toml", "sequence.toml", "frames.csv", "summary.json",
-    "report.html",
+    "control_points.csv", "ties.csv", "acquisition.toml", "sequence.toml", "stereo.toml", "frames.csv",
+    "summary.json", "report.html",
 )  # fmt: skip
 
 
@@ -37,7 +37,7 @@ def control_columns(tie: ReferenceTie) -> dict[str, Any]:
         "line": tie.pixels[:, 0],
         "column": tie.pixels[:, 1],
         **(
-            {}
+            {"sigma_px": np.full(len(tie.image), tie.control_sigma_px)}
             if tie.lines is None
             else {"lines": tie.lines, **_sigmas(tie), "sigma_ground": tie.ground_sigma}
         ),

@@ -44,7 +44,7 @@ from sightline.io.stereo.tables import (
 )
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.problem import StereoProblem
-from sightline.photogrammetry.sightings import Images, rays_of
+from sightline.photogrammetry.sightings import Images, Tracks, rays_of
 from sightline.result import set_source
 
 Array = NDArray[np.float64]
@@ -189,13 +189,15 @@ def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) 
     if table is not None:
         tracks, names, control, warnings = without_single(tracks, names, control)
     origins, looks = images.position, boresights(images, mounts)
-    if len(tracks):
-        origins, looks = origins[tracks.image], rays_of(images, detectors, mounts, tracks)
-    camera = images.camera[tracks.image]
+    # where points are to be found yet, control points alone are seen, each in one image
+    seen = tracks if table is not None else Tracks.none()
+    if len(seen):
+        origins, looks = origins[seen.image], rays_of(images, detectors, mounts, seen)
+    camera = images.camera[seen.image]
     doubts = tuple(dict.fromkeys(words for detector in detectors for words in wide_words(detector)))
     try:
         heights, surface, more = ground_of(
-            file, files, points_path, poses.cameras, camera, tracks, origins, looks, local=local
+            file, files, points_path, poses.cameras, camera, seen, origins, looks, local=local
         )
     except GeometryError as error:
         raise GeometryError("; ".join([str(error), *doubts])) from None

@@ -39,7 +39,8 @@ def match_problem(
     Parameters
     ----------
     problem : StereoProblem
-        Its tracks and point names are not used.
+        Its tracks and point names are not used, but for control points that were seen in pixels of their own
+        and are all that its tracks hold.
     sources : sequence of ImageSource
         Pictures.
     image : (len(sources),) int, optional
@@ -74,10 +75,10 @@ def match_problem(
             f"one image per pose is needed: {len(rows)} poses, {len(sources)} images; check images.csv "
             "against cameras.csv"
         )
-    if problem.control is not None:
+    if problem.control is not None and not np.isin(problem.tracks.point, problem.control.point).all():
         raise InputError(
             "control points name points of `matches` or `observations`, which are not given with images; "
-            "leave them out"
+            "leave them out, or say where they were seen: camera,shot,line,column"
         )
     if surface is None:
         surface = level_surface(problem.radii)
@@ -94,7 +95,20 @@ def match_problem(
     except EstimationError:
         raise EstimationError(_nothing_found(len(sources), plan)) from None
     tracks = Tracks(rows[found.image], found.point, found.pixels, found.sigma_px)
-    return replace(problem, tracks=tracks, point_names=np.arange(int(found.point.max()) + 1, dtype=float))
+    count = int(found.point.max()) + 1
+    names = np.arange(count, dtype=float)
+    if problem.control is None:
+        return replace(problem, tracks=tracks, point_names=names)
+    known = problem.tracks
+    tracks = Tracks(
+        np.concatenate([tracks.image, known.image]),
+        np.concatenate([tracks.point, known.point + count]),
+        np.concatenate([tracks.pixels, known.pixels]),
+        np.concatenate([tracks.sigma_px, known.sigma_px]),
+    )
+    control = replace(problem.control, point=problem.control.point + count)
+    names = np.concatenate([names, problem.point_names])
+    return replace(problem, tracks=tracks, point_names=names, control=control)
 
 
 def _nothing_found(pictures: int, plan: TrackPlan) -> str:
