@@ -32,6 +32,9 @@ ROW_REACH = 6
 #: Rows over which the correlation from row to row is followed, with weights that fall to zero: real textures
 #: of different bands err alike over ten rows, and a sum cut hard need not be a covariance.
 ROW_LAGS = 8
+#: Errors last where they correlate by so much over the next ROW_LAGS rows, and by so many times more than
+#: chance makes of none.
+LASTING, BEYOND_LASTING = 0.05, 5.0
 #: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all (4e-6).
 SOFT, REJECT = 3.0, 5.0
 #: Blocks per row, and runs of rows, from which errors shared by neighbours are estimated; their most.
@@ -169,6 +172,26 @@ def _steadied(plain: Array, long: Array, chance: float) -> Array:
 
     both = believed * correlation(long) + (1.0 - believed) * correlation(plain)
     return np.asarray(both * np.outer(size, size))
+
+
+def lasts(star: Star, post_px: Array) -> bool:
+    """Whether windows err alike over many rows, by residuals (G, K, 2) px after an estimate.
+
+    Rows of fewer than LEAST_BESIDE windows, and fewer rows than tell of neighbours, say nothing of it.
+    """
+    rows, blocks = star.shape
+    if blocks < LEAST_BESIDE or rows < LEAST_BESIDE * (ROW_LAGS + 1):
+        return False
+    z, _ = scatter(star, post_px)
+    z = np.clip(z, -CLIP, CLIP)
+    products = [z[: rows - shift] * z[shift:] for shift in range(1, ROW_LAGS + 1)]
+    number = sum(int(np.isfinite(p).sum()) for p in products)
+    if not number:
+        return False
+    correlation = sum(float(np.nansum(p)) for p in products) / number / float(np.nanmean(z**2))
+    # all pairs share the hub's error: they count as one
+    chance = np.sqrt(star.t.shape[1] / number)
+    return bool(correlation > max(LASTING, BEYOND_LASTING * chance))
 
 
 def _definite(total: Array, scale: Array) -> Array:

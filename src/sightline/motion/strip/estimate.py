@@ -44,6 +44,7 @@ from sightline.motion.strip.normal_equations import (
     ordered_ground,
 )
 from sightline.motion.strip.relief import beside_row, hub_delay, relief_length, relief_matters, row_processes
+from sightline.motion.strip.slow_errors import SlowErrors, slow_errors
 from sightline.motion.strip.strip import Strip
 
 Array = NDArray[np.float64]
@@ -75,6 +76,7 @@ class StripState:
     relief_length: float
     ground: GroundOrder
     height_sigma: float = 0.0
+    slow: SlowErrors | None = None
 
     def jumps(self) -> list[Array]:
         """Instants (s) at which roll, pitch, yaw were let jump."""
@@ -159,31 +161,45 @@ def solve_strip(
     longest = 2.0 * max(float(np.nanmax(np.abs(s.t - s.t_hub[:, None]), initial=0.0)) for s in stars)
     rows = sensor_rows(strip, model, nodes, statics, longest)
 
+    settled = model is not strip.broad
+    t_ground = [order.of(s.t_hub) for s, order in zip(stars, orders, strict=True)]
+    slow = before.slow if before is not None and settled else None
+    if slow is not None and not slow.covers(stars):
+        slow = None
+
     def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
-        data = normal_equations(stars, measured, grid, orders=orders, relief=unknown_relief)
+        data = normal_equations(stars, measured, grid, orders=orders, relief=unknown_relief, slow=slow)
         # across a gap longer than its memory an autoregression knows no slope of the drift
         long = longest_gap(data) > ORDER
         width = (data.ab.subdiagonals + 1) // data.block
         apart, alike_apart = (m.apart(grid, width) if long else None for m in (model, alike))
-        ample = JointPrior(ample_angles, sigmas, prior.relief, apart=alike_apart)
+        wander = None if slow is None else slow.precision
+        ample = JointPrior(ample_angles, sigmas, prior.relief, apart=alike_apart, slow_precision=wander)
         ties = tie(rows, grid, data.block) if rows else None
-        found = solve_joint(data, replace(prior, apart=apart, ample=ample), ties)
+        found = solve_joint(data, replace(prior, apart=apart, ample=ample, slow_precision=wander), ties)
+        clear = measured
+        if slow is not None:
+            errors = [slow.moved(s, t, found.slow) for s, t in zip(stars, t_ground, strict=True)]
+            clear = [m - e for m, e in zip(measured, errors, strict=True)]
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
-        without = [m - w for m, w in zip(measured, motion_only, strict=True)]
+        without = [m - w for m, w in zip(clear, motion_only, strict=True)]
         if not unknown_relief:
             return found, without, without
         whole = [
             modelled(s, grid, found.unknowns(), found.statics, o) for s, o in zip(stars, orders, strict=True)
         ]
-        return found, [m - w for m, w in zip(measured, whole, strict=True)], without
+        return found, [m - w for m, w in zip(clear, whole, strict=True)], without
 
-    settled = model is not strip.broad
     estimate, post, without = solution()
     for _ in range(rounds):
         ground = ground_weights(stars, post, beside)
         weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
+        if slow is not None:
+            slow = slow.learned(estimate.slow, estimate.slow_covariance)
+        elif settled:
+            slow = slow_errors(stars, post, t_ground)
         stars = [
             s.with_correlation(model.grown(c)) for s, c in zip(stars, _correlations(stars, post), strict=True)
         ]
@@ -209,6 +225,7 @@ def solve_strip(
         length,
         orders[0],
         height_sigma,
+        slow,
     )
 
 

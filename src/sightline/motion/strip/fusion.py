@@ -552,11 +552,18 @@ def add_ties(images: NormalEquations, ties: Ties) -> NormalEquations:
     """The information of images and sensors together."""
     more = ties.equations
     ab = images.ab.plus(more.ab)
-    border, corner, rhs_static = more.border.copy(), more.corner.copy(), more.rhs_static.copy()
-    statics = len(images.rhs_static)
-    border[:, :statics] += images.border
-    corner[:statics, :statics] += images.corner
-    rhs_static[:statics] += images.rhs_static
+    # statics, which both have; then what only the images have; then the sensors' constants
+    own, q = len(ties.own_precision), len(images.rhs_static)
+    place = np.concatenate([np.arange(len(more.rhs_static) - own), np.arange(q, q + own)])
+    border, corner, rhs_static = (
+        np.zeros((len(images.rhs), q + own)),
+        np.zeros((q + own,) * 2),
+        np.zeros(q + own),
+    )
+    border[:, :q], corner[:q, :q], rhs_static[:q] = images.border, images.corner, images.rhs_static
+    border[:, place] += more.border
+    corner[np.ix_(place, place)] += more.corner
+    rhs_static[place] += more.rhs_static
     return NormalEquations(
         images.grid,
         images.block,

@@ -70,6 +70,9 @@ class JointPrior:
         the memory of `angles`.
     own_precision : (S, S) or None
         Of the constants of attitude sensors, unknowns beside the static parameters.
+    slow_precision : (E, E) or None
+        Of errors of matching that wander along the strip, unknowns beside the static parameters
+        (``slow_errors.py``).
     ample : JointPrior or None
         Of motions alike on all axes, as large as the largest, which completes hidden drifts; None: this one.
     """
@@ -81,14 +84,15 @@ class JointPrior:
     constant_sigma: tuple[float, float, float] = CONSTANT_SIGMA
     apart: tuple[SplitPrior, SplitPrior, SplitPrior] | None = None
     own_precision: Array | None = None
+    slow_precision: Array | None = None
     drift_sigma: tuple[float, float, float] = DRIFT_SIGMA
     ample: JointPrior | None = None
 
     @property
     def border_precision(self) -> Array:
-        """(Q + S, Q + S) of the static parameters and the sensors' own constants."""
-        own = np.zeros((0, 0)) if self.own_precision is None else self.own_precision
-        return np.asarray(block_diag(np.diag(1.0 / self.statics_sigma**2), own))
+        """Of static parameters, errors that wander, sensors' constants: (Q + E + S, Q + E + S)."""
+        more = [p for p in (self.slow_precision, self.own_precision) if p is not None]
+        return np.asarray(block_diag(np.diag(1.0 / self.statics_sigma**2), *more))
 
     def layout(self, count: int, block: int) -> Layout | None:
         """Where the unknowns of the grid stand between coarse nodes; None where there are none."""
@@ -147,6 +151,8 @@ class JointEstimate:
         Estimates of the constants of attitude sensors; `own_sigma` their posterior sigmas.
     ties : Ties or None
         What sensors and control points said.
+    slow : (E,)
+        px; errors of matching that wander along the strip; `slow_covariance` (E, E) theirs.
     """
 
     grid: TimeGrid
@@ -159,6 +165,8 @@ class JointEstimate:
     own: Array = field(default_factory=lambda: np.zeros(0))
     own_sigma: Array = field(default_factory=lambda: np.zeros(0))
     ties: Ties | None = None
+    slow: Array = field(default_factory=lambda: np.zeros(0))
+    slow_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the factors, which are made when they are asked for."""
@@ -207,7 +215,8 @@ class JointEstimate:
         static parameters take away all of that.
         """
         data, count = self._images, self.grid.count
-        if not len(self._prior.statics_sigma):
+        free = len(self._prior.statics_sigma)
+        if not free:
             return ()
         curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), DEGREE)
         each = DEGREE + 1
@@ -216,7 +225,8 @@ class JointEstimate:
             shapes[:, axis, each * axis : each * (axis + 1)] = curves
         h = shapes.reshape(-1, 3 * each)
         top, bottom = data.times(h)
-        seen = np.block([[h.T @ top, bottom.T], [bottom, data.corner]])
+        bottom = bottom[:free]
+        seen = np.block([[h.T @ top, bottom.T], [bottom, data.corner[:free, :free]]])
         size = np.sqrt(np.maximum(np.diag(seen), 0.0))
         seen = seen / np.outer(*[np.where(size > 0.0, size, 1.0)] * 2)
         motions = [k for k in range(3 * each) if k % each > 1]
@@ -548,10 +558,12 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
         )
     factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
     statics = len(prior.statics_sigma)
+    beside = statics + (0 if prior.slow_precision is None else len(prior.slow_precision))
     x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
     x, y = _held(factor, data, prior, x, y)
     nodes = x.reshape(data.grid.count, data.block)
-    sigma = np.sqrt(np.diag(factor.border_covariance)[:-3])
+    covariance = factor.border_covariance
+    sigma = np.sqrt(np.diag(covariance)[:-3])
     relief = nodes[:, 3:].copy() if data.block == 5 else None
     return JointEstimate(
         data.grid,
@@ -561,9 +573,11 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
         sigma[:statics],
         images,
         prior,
-        y[statics:-3],
-        sigma[statics:],
+        y[beside:-3],
+        sigma[beside:],
         ties,
+        y[statics:beside],
+        covariance[statics:beside, statics:beside].copy(),
     )
 
 

@@ -24,13 +24,15 @@ from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.series_kernels import share_of_instant
 from sightline.execution import available_processors, in_threads
 from sightline.motion.measure.observations import Star
+from sightline.motion.strip.slow_errors import SlowErrors
 
 Array = NDArray[np.float64]
 
 #: Nodes of the local interpolation (cubic Lagrange).
 TAPS = 4
-#: Patches, and rows of windows, that are summed by one thread at a time.
-PART_PATCHES, PART_ROWS = 16384, 512
+#: Patches, and rows of windows, that are summed by one thread at a time; rows where errors that wander are
+#: unknowns, of which those near by are all that a part has.
+PART_PATCHES, PART_ROWS, SLOW_ROWS = 16384, 512, 64
 
 
 @dataclass(frozen=True)
@@ -550,6 +552,7 @@ def normal_equations(
     *,
     orders: Sequence[GroundOrder],
     relief: bool = False,
+    slow: SlowErrors | None = None,
 ) -> NormalEquations:
     """Sum the information of all stars.
 
@@ -565,19 +568,21 @@ def normal_equations(
         Per star: how its ground lies on the grid (`ordered_ground`).
     relief : bool
         With two heights per node.
+    slow : SlowErrors, optional
+        Errors that wander along the strip: unknowns of the border, after the static parameters.
     """
     block = 5 if relief else 3
     n = block * grid.count
-    statics = stars[0].by_static.shape[3]
+    statics = stars[0].by_static.shape[3] + (0 if slow is None else slow.count * slow.each)
     width = min(bandwidth_of(stars, grid, block, orders, relief), n - 1)
     ab = StoredBand(width, n)
     border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
     chi2, rows = 0.0, 0
     pieces = [
-        _Piece(star, left, order.of(star.t_hub), part)
+        _Piece(star, left, order.of(star.t_hub), part, slow)
         for star, left, order in zip(stars, measured, orders, strict=True)
-        for part in _parts(star)
+        for part in _parts(star, PART_ROWS if slow is None else SLOW_ROWS)
     ]
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
     at_once = available_processors()
@@ -587,10 +592,10 @@ def normal_equations(
         ):
             here = slice(sums.first, sums.first + len(sums.rhs))
             ab.add(sums.first, sums.ab)
-            border[here] += sums.border
+            border[here, sums.beside] += sums.border
             rhs[here] += sums.rhs
-            corner += sums.corner
-            rhs_static += sums.rhs_static
+            corner[np.ix_(sums.beside, sums.beside)] += sums.corner
+            rhs_static[sums.beside] += sums.rhs_static
             chi2 += sums.chi2
             rows += sums.rows
     return NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, rows)
@@ -606,9 +611,10 @@ def no_information(grid: TimeGrid, statics: int, block: int = 3) -> NormalEquati
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """What some windows add to the equations, from unknown `first` on."""
+    """What some windows add to the equations, from unknown `first` on, and to `beside` of the border."""
 
     first: int
+    beside: NDArray[np.intp]
     ab: Array
     border: Array
     corner: Array
@@ -626,6 +632,17 @@ class _Piece:
     measured: Array
     t_ground: Array
     part: slice
+    slow: SlowErrors | None = None
+
+    def beside(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """Which unknowns of the border move these windows, and by how much, (G, K, 2, C)."""
+        by_static = self.star.by_static[self.part]
+        fixed = np.arange(by_static.shape[3])
+        if self.slow is None:
+            return fixed, by_static
+        near, moved = self.slow.columns(self.star, self.t_ground[self.part])
+        which = np.concatenate([fixed, len(fixed) + np.arange(near.start, near.stop)])
+        return which, np.concatenate([by_static, moved], axis=3)
 
 
 def _support(star: Star, grid: TimeGrid) -> int:
@@ -633,10 +650,10 @@ def _support(star: Star, grid: TimeGrid) -> int:
     return TAPS + math.ceil(star.longest / grid.step)
 
 
-def _parts(star: Star) -> list[slice]:
+def _parts(star: Star, most: int = PART_ROWS) -> list[slice]:
     """Whole rows of windows of a star, some at a time."""
     rows, blocks = star.shape
-    size = min(max(PART_PATCHES // blocks, 1), PART_ROWS) * blocks
+    size = min(max(PART_PATCHES // blocks, 1), most) * blocks
     return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
 
 
@@ -650,7 +667,8 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
     # rows at the end of the grid use its last nodes, wherever their instants are
     support = _support(star, grid)
     low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
-    n, statics = block * (high - low), star.by_static.shape[3]
+    beside, by_static = piece.beside()
+    n, statics = block * (high - low), len(beside)
     ab = np.zeros((min(width + 1, n), n))
     border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
@@ -669,7 +687,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
         star.weight[part],
         star.by_hub[part],
         star.by_partner[part],
-        star.by_static[part],
+        by_static,
         star.by_height[part],
         star.field[part],
         star.correlation,
@@ -684,7 +702,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
         rhs,
         rhs_static,
     )
-    return _Sums(block * low, ab, border, corner, rhs, rhs_static, chi2, rows)
+    return _Sums(block * low, beside, ab, border, corner, rhs, rhs_static, chi2, rows)
 
 
 def window_rows(
