@@ -41,6 +41,10 @@ MOST_TONES = 8
 #: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
 #: lever of the field, rows say nothing of its noise: what is not known of the other passes for it.
 OWN = 0.5
+#: Hidden drifts are completed under motions about all axes of this share of that which drifts most (px): an
+#: axis held stiller would not let them move it, and under motions larger than need be they bend where the
+#: images see little.
+AMPLE = 0.5
 #: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
 SHOWN = 3.0
 #: Longest time scale of a drift beside unknown relief, in lengths of the strip.
@@ -129,7 +133,7 @@ class PriorModel:
         return PriorModel((roll, pitch, turn))
 
     def alike(self, scale: Array, length: float) -> PriorModel:
-        """The model with motions about all axes as large as about that which drifts most (in px).
+        """The model with motions about all axes alike, of AMPLE of that which drifts most (in px).
 
         Parameters
         ----------
@@ -142,7 +146,9 @@ class PriorModel:
             return self  # densities that are given are taken as they are
         in_px = [s.scaled(1.0 / float(size)) for s, size in zip(self.spectra, scale, strict=True)]
         largest = in_px[int(np.argmax([_bend(_drift(s), length) for s in in_px]))]
-        roll, pitch, yaw = (s if s is largest else _larger_parts(s, largest, length) for s in in_px)
+        roll, pitch, yaw = (
+            (s if s is largest else _larger_parts(s, largest, length)).scaled(AMPLE) for s in in_px
+        )
         return PriorModel(
             (roll.scaled(float(scale[0])), pitch.scaled(float(scale[1])), yaw.scaled(float(scale[2])))
         )

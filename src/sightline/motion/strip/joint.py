@@ -74,7 +74,7 @@ class JointPrior:
         Of errors of matching that wander along the strip, unknowns beside the static parameters
         (``slow_errors.py``).
     ample : JointPrior or None
-        Of motions alike on all axes, as large as the largest, which completes hidden drifts; None: this one.
+        Of motions alike on all axes, which completes hidden drifts; None: this one.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -251,7 +251,7 @@ class JointEstimate:
         -----
         A seed h is completed to the hidden direction h + x by the least informative x:
         ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
-        For drifts P is that of motions as ample about all axes as about the one that moves most: a prior that
+        For drifts P is that of motions as ample about all axes as half of the one that moves most: a prior that
         holds one axis still would rather have the images see something than let that axis move.
         """
         own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
