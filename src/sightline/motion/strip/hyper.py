@@ -41,8 +41,8 @@ MOST_TONES = 8
 #: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
 #: lever of the field, rows say nothing of its noise: what is not known of the other passes for it.
 OWN = 0.5
-#: Hidden drifts are completed under motions of at least this share of the largest.
-LEAST_AMPLE = 0.2
+#: Hidden drifts are completed under motions about each axis of at least this share of that which drifts most.
+STILLEST = 1.0 / 3.0
 #: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
 SHOWN = 3.0
 #: Longest time scale of a drift beside unknown relief, in lengths of the strip.
@@ -131,10 +131,10 @@ class PriorModel:
         return PriorModel((roll, pitch, turn))
 
     def alike(self, scale: Array, length: float) -> PriorModel:
-        """The model with motions about all axes as large as about the middle one (in px, by how they drift).
+        """The model with motions about all axes no smaller than STILLEST of that which drifts most (in px).
 
-        An axis held stiller would not let hidden drifts move it, and under motions larger than need be these
-        bend where the images see little. What the axes have beside drifts is that of the largest, likewise.
+        An axis held stiller would not let hidden drifts move it; under motions larger than need be these bend
+        where the images see little.
 
         Parameters
         ----------
@@ -146,12 +146,9 @@ class PriorModel:
         if not all(any(isinstance(c, Matern) for c in s.components) for s in self.spectra):
             return self  # densities that are given are taken as they are
         in_px = [s.scaled(1.0 / float(size)) for s, size in zip(self.spectra, scale, strict=True)]
-        bends = [_bend(_drift(s), length) for s in in_px]
-        largest = in_px[int(np.argmax(bends))]
-        middle = max(float(np.median(bends)) / max(bends), LEAST_AMPLE) if max(bends) > 0.0 else 1.0
-        roll, pitch, yaw = (
-            (s if s is largest else _larger_parts(s, largest, length)).scaled(middle) for s in in_px
-        )
+        largest = in_px[int(np.argmax([_bend(_drift(s), length) for s in in_px]))]
+        least = largest.scaled(STILLEST)
+        roll, pitch, yaw = (s if s is largest else _larger_parts(s, least, length) for s in in_px)
         return PriorModel(
             (roll.scaled(float(scale[0])), pitch.scaled(float(scale[1])), yaw.scaled(float(scale[2])))
         )

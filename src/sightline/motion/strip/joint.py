@@ -74,7 +74,7 @@ class JointPrior:
         Of errors of matching that wander along the strip, unknowns beside the static parameters
         (``slow_errors.py``).
     ample : JointPrior or None
-        Of motions alike on all axes, which completes hidden drifts; None: this one.
+        Of motions that hold no axis still, which completes hidden drifts; None: this one.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -251,8 +251,8 @@ class JointEstimate:
         -----
         A seed h is completed to the hidden direction h + x by the least informative x:
         ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
-        For drifts P is that of motions as ample about all axes as about the middle one: a prior that holds
-        one axis still would rather have the images see something than let that axis move.
+        For drifts P is that of motions about each axis of some size beside the one that moves most: a prior
+        that holds one axis still would rather have the images see something than let that axis move.
         """
         own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
         return _unmixed(self._completed[:, :, [3 * shape + axis for shape, axis in own]], own, self._seeds)
