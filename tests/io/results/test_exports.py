@@ -61,7 +61,7 @@ def turned(camera, angle):
     return replace(camera, detector=replace(camera.detector, directions=directions), pointing=mount)
 
 
-@pytest.mark.parametrize("angle", [0.0, 90.0, 100.0, -90.0, 180.0])
+@pytest.mark.parametrize("angle", [0.0, 100.0, -90.0])
 @pytest.mark.parametrize("to", ["csm", "isd"])
 def test_a_csm_file_looks_where_the_recovered_camera_does(strip, tmp_path, to, angle):
     """Whichever way the detector line runs in the axes of its camera."""

@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 PITCH = 0.01
 #: px up to which a straight and even line stands for a detector, before distortions are tried.
 _STRAIGHT = 1e-5
+#: px to which a distortion meets a line well enough to look no further.
+_MET = 1e-4
 #: px that the search for a radial lens may leave, before it starts from a steep one.
 _STEEP = 1e-3
 #: Pixels from which the search for a corner in a distortion starts.
@@ -106,8 +108,10 @@ def nearest_plane(detector: LineDetector) -> tuple[CsmFocalPlane, float]:
         coefficients=np.zeros(3),
     )
     found = [(even, _apart(even, detector))]
-    if found[0][1] > _STRAIGHT:
-        found += [(plane, _apart(plane, detector)) for plane in _curved(even, detector)]
+    for plane in _curved(even, detector) if found[0][1] > _STRAIGHT else ():
+        found.append((plane, _apart(plane, detector)))
+        if found[-1][1] < _MET:
+            break
     return min(found, key=lambda pair: pair[1])
 
 
