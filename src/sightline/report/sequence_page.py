@@ -115,7 +115,8 @@ def _tables(
     ]
     tables: list[str | Table] = [
         "The tables beside the poses found: squares of what lies between them, constant errors taken off, "
-        "over sigmas squared. Poses follow the tables where images tell little: of good ones it is less.",
+        "over sigmas squared. Poses follow the tables where images tell little: of good ones it is less. "
+        "Frames that were taken as turned against their angles are compared as turned.",
         Table(words.TABLE_HEADS, words.table_rows(problem, found), [0, 4]),
     ]
     bow = (

@@ -155,7 +155,8 @@ def _fit(found: SequencePoses, view: SequenceView) -> str:
 def table_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
     """Per table: name, frames, chi-square, what chance makes of it, the frame that it misses most."""
     rows = []
-    for fit in table_fits(problem, found.poses):
+    # as solved: with angles of turned frames turned
+    for fit in table_fits(found.problem or problem, found.poses):
         worst = int(np.argmax(fit.square))
         rows.append(
             [

@@ -122,7 +122,7 @@ def write_frames_used(path: Path, sequence: FrameSequence, found: SequencePoses)
 def _chi_squared(sequence: FrameSequence, found: SequencePoses) -> dict[str, Array]:
     """Per frame how far each table lies from its pose, (M,) each; NaN where the table says nothing."""
     out = {name: np.full(len(found.source), np.nan) for name in CHI_SQUARED.values()}
-    for fit in table_fits(sequence.problem, found.poses):
+    for fit in table_fits(found.problem or sequence.problem, found.poses):
         out[CHI_SQUARED[fit.name]][fit.rows] = fit.square
     return out
 
@@ -193,7 +193,8 @@ def _tables(sequence: FrameSequence, found: SequencePoses) -> dict[str, dict[str
                 "chi_squared": float(fit.square.max()),
             },
         }
-        for fit in table_fits(sequence.problem, found.poses)
+        # as solved: with angles of turned frames turned
+        for fit in table_fits(found.problem or sequence.problem, found.poses)
     }
 
 
