@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from sightline import Band, Plane, recover_line_of_sight
 from sightline.errors import EstimationError, InputError
 from sightline.motion.sensors import ControlSightings
+from sightline.motion.strip import control_only, fusion
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -116,3 +117,31 @@ def test_what_one_band_cannot_give_is_refused(band):
         )
     with pytest.raises(EstimationError, match=r"5 of 5 control points .* 8 or more"):
         recover_line_of_sight([given], Plane(0.0), control_points=short)
+
+
+@pytest.mark.parametrize("most", [200, 60])
+def test_many_that_are_wrong_neither_pass_for_jitter_nor_hide_each_other(band, monkeypatch, most):
+    # of 60 points a spectrum is learned; the others have weights too
+    monkeypatch.setattr(control_only, "MOST_POINTS", most)
+    given, options = band
+    px = motion(np.random.default_rng(1), np.arange(float(LINES)))
+    points = sighted(options, px, 1)
+    pixels, wrong = points.pixels.copy(), np.arange(3, POINTS, 10)
+    pixels[wrong] += 10.0 * np.random.default_rng(2).choice([-1.0, 1.0], (len(wrong), 2))
+    found = recover_line_of_sight([given], Plane(0.0), control_points=replace(points, pixels=pixels))
+    at = np.argmin(np.abs(np.subtract.outer(found.control.t, pixels[:, 0] * options.line_period)), axis=1)
+    assert not found.control.kept[np.isin(at, wrong)].any()
+    assert found.control.kept[~np.isin(at, wrong)].mean() > 0.95
+    error = found.motion.angles / found.scale - px
+    assert np.sqrt((error[:, :2] ** 2).mean(axis=0)).max() < 0.3
+
+
+def test_a_window_s_mean_is_that_of_two_of_its_instants(band):
+    given, _ = band
+    lines = np.array([1.0, 2.0, 6.0, 41.0])
+    seen = np.column_stack([np.full(4, 300.0), np.full(4, 10.0)])
+    t = fusion._window_instants(given.camera, seen, lines) / given.camera.times(np.array([1.0]))
+    for count, instants in zip(lines, t, strict=True):
+        every = 300.0 + np.arange(count) - 0.5 * (count - 1.0)
+        for power in (1, 2, 3):
+            np.testing.assert_allclose((instants**power).mean(), (every**power).mean(), rtol=1e-9)

@@ -13,6 +13,7 @@ from sightline.estimation.prior import Matern, Spectrum
 from sightline.motion.measure.match_noise import lasts
 from sightline.motion.measure.observations import Star
 from sightline.motion.strip import normal_equations as equations
+from sightline.motion.strip.estimate import _same_sizes
 from sightline.motion.strip.joint import JointEstimate, JointPrior, solve_joint
 from sightline.motion.strip.normal_equations import GroundOrder, TimeGrid, normal_equations
 from sightline.motion.strip.slow_errors import LENGTH_LINES, NODE_LINES, SlowErrors, slow_errors
@@ -141,3 +142,10 @@ def test_errors_are_followed_where_windows_err_alike_over_many_rows_and_nowhere_
     narrow = strip_star(600, 3)
     assert slow_errors([narrow], [narrow.residual_px + 0.1], [narrow.t_hub]) is None
     assert slow_errors([patchy], [patchy.residual_px], [3.0 * patchy.t_hub]) is None
+
+
+def test_rounds_go_on_while_sizes_grow() -> None:
+    small = nodes_of(strip_star(80, 3), np.array([0.003, 0.004, 0.001]))
+    assert _same_sizes(None, None) and not _same_sizes(None, small)
+    assert _same_sizes(small, replace(small, sizes=1.05 * small.sizes))
+    assert not _same_sizes(small, replace(small, sizes=small.sizes * [1.0, 1.5, 1.0]))

@@ -40,8 +40,9 @@ Array = NDArray[np.float64]
 FEWEST_POINTS, FEWEST_GIVEN = 8, 3
 #: Control points that the spectrum is learned from, and neighbours in a run: the solution of all is dense.
 MOST_POINTS, RUN = 200, 20
-#: Times that control points far from what the others say of them lose weight.
-WEIGHINGS = 3
+#: Times that control points far from what the others say of them lose weight, at most; those of less weight
+#: than DOUBTED teach no spectrum: many that are wrong would pass for jitter.
+WEIGHINGS, DOUBTED = 4, 0.25
 #: Nodes of the motion between two control points, typically: more tell nothing.
 NODES_BETWEEN = 8.0
 #: What is believed of drift and broadband jitter before control points are looked at: px, by how many factors
@@ -204,23 +205,40 @@ def _learned(strip: Strip, rows: Sequence[SensorRows], sigmas: Array) -> tuple[P
     assert seen is not None
     some = _some_of(seen, strip.scale, sigmas)
     # one that is wrong passes for jitter: before any spectrum is learned, beside what the most are off
-    some = replace(some, weight=some.weights(strip.broad, strip.scale, beside=True))
+    for _ in range(WEIGHINGS):
+        some = replace(some, weight=some.weights(strip.broad, strip.scale, beside=True))
     start: _Found | None = None
     for _ in range(WEIGHINGS):
         if strip.known.spectra is not None:
             model = strip.given_model()
         else:
             step, tones = strip.grid.step, strip.known.tones
-            model, start = fit_control_spectrum(some, strip.scale, step, tones, start)
+            model, start = fit_control_spectrum(some.believed(), strip.scale, step, tones, start)
         weights = some.weights(model, strip.scale)
         settled = np.allclose(weights, some.weight, atol=0.05)
         some = replace(some, weight=weights)
         if settled:
             break
-    weight = seen.weight.copy()
-    weight[some.chosen] = some.weight
-    weighted = replace(seen, weight=weight)
+    weighted = replace(seen, weight=_weights_of_all(seen, some, model, strip.scale, sigmas))
     return model, [weighted if one is seen else one for one in rows]
+
+
+def _weights_of_all(
+    rows: SensorRows, some: _Sightings, model: PriorModel, scale: Array, sigmas: Array
+) -> Array:
+    """(R,) of all control points: of `some` as found, of others by what those near them say."""
+    weight = np.ones(len(rows.value))
+    weight[some.chosen] = some.weight
+    order = _in_time(rows)
+    if len(some.chosen) == 2 * len(order):
+        return weight
+    for part in np.array_split(order, math.ceil(len(order) / MOST_POINTS)):
+        near = _whitened(rows, part, scale, sigmas)
+        # those that are wrong may hide each other: beside what most are off first
+        for number in range(2 * WEIGHINGS):
+            near = replace(near, weight=near.weights(model, scale, beside=number < WEIGHINGS))
+        weight[near.chosen] = near.weight
+    return weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +264,14 @@ class _Sightings:
         return replace(
             self, value=root * self.value, by=root[:, None] * self.by, statics=root[:, None] * self.statics
         )
+
+    def believed(self) -> _Sightings:
+        """Those that are not doubted; all where these are too few."""
+        keep = self.weight >= DOUBTED
+        if keep.sum() < 2 * FEWEST_POINTS:
+            return self
+        parts = {name: getattr(self, name)[keep] for name in ("value", "by", "statics", "chosen", "weight")}
+        return replace(self, t=self.t[keep[::2]], **parts)
 
     def of_means(self, part: Component) -> Array:
         """(P, P) autocovariance of what the control points see of a motion."""
@@ -287,17 +313,28 @@ class _Sightings:
         if beside:
             # the median of half a chi-squared of two
             squared /= max(float(np.median(squared)) / math.log(2.0), 1.0)
-        return np.repeat(np.minimum(1.0, CUT**2 / np.maximum(squared, 1e-12)), 2)
+        # what lies farther off has less to say, not the same
+        return np.repeat(np.minimum(1.0, CUT**2 / np.maximum(squared, 1e-12)) ** 2, 2)
 
 
 def _some_of(rows: SensorRows, scale: Array, sigmas: Array) -> _Sightings:
     """Rows of control points, of so many at most: half evenly spread in time, half in runs of neighbours."""
-    order = np.argsort(rows.instants[::2].mean(axis=1), kind="stable")
+    order = _in_time(rows)
     count = len(order)
     spread = np.linspace(0, count - 1, min(count, MOST_POINTS // 2)).astype(int)
     runs = np.linspace(0, max(count - RUN, 0), MOST_POINTS // 2 // RUN).astype(int)[:, None] + np.arange(RUN)
     at = np.arange(count) if count <= MOST_POINTS else np.unique([*spread, *runs.ravel()])
-    chosen = (2 * order[at][:, None] + np.arange(2)).ravel()
+    return _whitened(rows, order[at], scale, sigmas)
+
+
+def _in_time(rows: SensorRows) -> NDArray[np.intp]:
+    """Numbers of control points by when they were seen."""
+    return np.argsort(rows.instants[::2].mean(axis=1), kind="stable")
+
+
+def _whitened(rows: SensorRows, points: NDArray[np.intp], scale: Array, sigmas: Array) -> _Sightings:
+    """Rows of some control points, all of weight 1."""
+    chosen = (2 * points[:, None] + np.arange(2)).ravel()
     whiten = rows.whiten[chosen][:, chosen]
     return _Sightings(
         rows.instants[chosen[::2]],

@@ -44,7 +44,7 @@ from sightline.motion.strip.normal_equations import (
     ordered_ground,
 )
 from sightline.motion.strip.relief import beside_row, hub_delay, relief_length, relief_matters, row_processes
-from sightline.motion.strip.slow_errors import SlowErrors, slow_errors
+from sightline.motion.strip.slow_errors import LEAST, SlowErrors, slow_errors
 from sightline.motion.strip.strip import Strip
 
 Array = NDArray[np.float64]
@@ -53,8 +53,9 @@ Array = NDArray[np.float64]
 #: in the pass, and in drafts and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
 #: Rounds end where weights moved residuals by less than this (rms) of a match's sigma, and no further jump
-#: was found: the next round would move them by a tenth of it.
-STILL = 0.025
+#: was found: the next round would move them by a tenth of it. Errors that wander hardly move them any more
+#: while their sizes still grow, by which sigmas of the motion grow: these change by less than SAME_SIZE.
+STILL, SAME_SIZE = 0.025, 0.1
 #: Times that control points are linearised before the first matching.
 INITIAL_ROUNDS = 3
 #: Times that readings are weighed by what an estimate from sensors alone leaves of them, so that one wrong
@@ -196,6 +197,7 @@ def solve_strip(
         weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
+        unlearned = slow
         if slow is not None:
             slow = slow.learned(estimate.slow, estimate.slow_covariance)
         elif settled:
@@ -209,7 +211,8 @@ def solve_strip(
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
         earlier = post
         estimate, post, without = solution()
-        if _same_jumps(jumped, prior.innovation_weights) and _moved(stars, earlier, post) < STILL:
+        same = _same_jumps(jumped, prior.innovation_weights) and _same_sizes(unlearned, slow)
+        if same and _moved(stars, earlier, post) < STILL:
             break
     if unknown_relief:
         length = relief_length(stars, without, height_sigma, strip.half_width)
@@ -234,6 +237,13 @@ def _same_jumps(before: Array | None, after: Array | None) -> bool:
     none = np.zeros(1, dtype=bool)
     old, new = (none if w is None or (w >= 1.0).all() else w < 1.0 for w in (before, after))
     return np.array_equal(old, new)
+
+
+def _same_sizes(before: SlowErrors | None, after: SlowErrors | None) -> bool:
+    """Whether errors that wander are about as large as they were."""
+    if before is None or after is None:
+        return before is after
+    return bool(np.allclose(after.sizes, before.sizes, rtol=SAME_SIZE, atol=LEAST))
 
 
 def _moved(stars: Sequence[Star], before: Sequence[Array], after: Sequence[Array]) -> float:

@@ -10,7 +10,6 @@ Not here: reading tables (``io/``), the solution (``joint.py``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -483,7 +482,7 @@ def _window_instants(camera: MovingCamera, seen: Array, lines: Array | None) -> 
     t = exposure_times(camera, seen)
     if lines is None:
         return np.stack([t, t], axis=1)
-    away = np.stack([(lines - 1.0) / math.sqrt(12.0), np.zeros(len(lines))], axis=1)
+    away = np.stack([np.sqrt((lines**2 - 1.0) / 12.0), np.zeros(len(lines))], axis=1)
     ends = np.array([0.0, camera.shape[0] - 1.0])
     inside = [np.stack([np.clip(p[:, 0], *ends), p[:, 1]], axis=1) for p in (seen - away, seen + away)]
     return np.stack([exposure_times(camera, p) for p in inside], axis=1)
