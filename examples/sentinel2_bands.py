@@ -3,9 +3,8 @@
 Run: python examples/sentinel2_bands.py [OUT]. The crops have no metadata: height, speed, pixel and lags are
 those of `sightline init --preset sentinel-2-msi`; the staggered detectors of scenes 03 to 07 look in the
 other order. Without truth, what counts is how well bands fit that are laid on one another (along / across
-px), beside their scatter within rows of windows, which no motion takes away: it shifts and turns rows. And
-B08, of which only offset, turn and scale are fitted (px across, means over 44 lines), beside what its
-matches' noise and the covariance of the motion let expect.
+px). And B08, of which only offset, turn and scale are fitted (px across, means over 44 lines), beside what
+its matches' noise and the covariance of the motion let expect.
 """
 
 import math
@@ -26,18 +25,6 @@ from sightline.motion.statics import recovered_cameras
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA")) / "s2_l1b_bands"
 MSI, NAMES = preset("sentinel-2-msi"), ("B02", "B03", "B04", "B08")
-
-
-def in_rows(fit) -> tuple[float, float]:
-    """Scatter of windows within their rows (px): what a shift and a turn of each by itself leave."""
-    squares, freedom = np.zeros(2), 0
-    for line in np.unique(fit.points[:, 0]):
-        row = fit.points[:, 0] == line
-        if (degrees := int(row.sum()) - 2) > 0:
-            shape = np.column_stack([np.ones(degrees + 2), fit.points[row, 1]])
-            left = fit.offset_px[row] - shape @ np.linalg.lstsq(shape, fit.offset_px[row], rcond=None)[0]
-            squares, freedom = squares + (left**2).sum(axis=0), freedom + degrees
-    return tuple(np.sqrt(squares / max(freedom, 1)))
 
 
 def infrared(acquired, motion, statics) -> tuple[float, float]:
@@ -87,6 +74,6 @@ if __name__ == "__main__":
         laid = sightline.register_bands(acquired.bands[:3], acquired.surface, found.motion, statics)
         before, after = (fit_every_pair(images)[1] for images in (laid.before, laid.after))
         off = (*infrared(acquired, found.motion, statics), expected(acquired.bands, found))
-        words = "{}: B02 to B04 {:.3f} / {:.3f} px, laid {:.3f} / {:.3f}, in rows {:.3f} / {:.3f}; "
+        words = "{}: B02 to B04 {:.3f} / {:.3f} px, laid {:.3f} / {:.3f}; "
         words += "B08 {:.3f}, its noise {:.3f}, by the motion's sigma {:.3f}"
-        print(words.format(image.stem, *before.rms_px, *after.rms_px, *in_rows(after), *off))
+        print(words.format(image.stem, *before.rms_px, *after.rms_px, *off))

@@ -36,7 +36,7 @@ def recovery(weight=1.0, duration=0.0):
         present=present,
     )
     motion = SimpleNamespace(t=STEP * np.arange(ROWS))
-    return SimpleNamespace(records=(SimpleNamespace(star=star),), scale=SCALE, motion=motion)
+    return SimpleNamespace(records=(SimpleNamespace(star=star),), scale=SCALE, motion=motion, control=None)
 
 
 def amplitude_sigma(frequency, sigma):

@@ -955,9 +955,11 @@ def georeferenced(folder: Path) -> None:
     write_poses(made / "poses.csv", FramePoseTable(names, t, position, turn, sigma, source))
     square = np.tile(np.diag([0.25] * 3 + [0.25e-6] * 3), (count, 1, 1))
     focal = FocalLength(40.5, 0.01 * np.ones(7))
-    write_pose_covariance(
-        made / "covariance.npz", PoseCovariance(names, square, np.zeros(6), np.eye(6), focal)
-    )
+    follow, pairs = 0.5 * square[1:], np.zeros((count, 6, count, 6))
+    for k, own in enumerate(square):
+        pairs[k, :, k] = own
+    covariance = PoseCovariance(names, square, np.zeros(6), np.eye(6), focal, follow, pairs, 1e-3)
+    write_pose_covariance(made / "covariance.npz", covariance)
     table(folder / "truth-focal.csv", "camera,focal_length_px", [("camera", 40.0)])
     used = [
         (k, 0.5 * int(k), word, 3, 3, 0.1, 1.0, 0, 1, 0.8, 0.1, "")

@@ -77,7 +77,7 @@ def test_the_error_of_a_platform_without_a_kind_asks_for_one(folder):
 
 def test_one_band_alone_is_described_but_holds_no_motion(folder):
     folder.text = folder.text[: folder.text.rindex("[[band]]")]
-    assert "motion is seen between two or more bands" in load_acquisition(folder.write()).still
+    assert "one image cannot show motion: 1 [[band]] given (PAN)" in load_acquisition(folder.write()).still
     folder.text = folder.text[: folder.text.rindex("[[band]]")]
     assert "0 [[band]] given; motion is seen between two or more images" in message(folder)
 

@@ -7,6 +7,10 @@ import pytest
 import rasterio
 from rasterio.errors import NotGeoreferencedWarning
 
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.acquisition.schema import LevelFlight
+from sightline.motion.strip.hyper import KnownContent
+from sightline.simulate import files
 from sightline.simulate.files import write_frames, write_strip
 from sightline.simulate.frames import frames_case
 from sightline.simulate.scenarios import line_of_sight_case
@@ -27,6 +31,8 @@ def hard(tmp_path_factory):
 def test_the_acquisition_file_is_toml_and_names_files_that_are_there(hard):
     scenario, folder = hard
     content = tomllib.loads((folder / "acquisition.toml").read_text())
+    known = {name: content["platform"].pop(name) for name in files.ATTITUDE_KNOWN}
+    assert all(value > files.ATTITUDE_KNOWN[name] for name, value in known.items())
     assert content["platform"] == {"kind": "level-flight", "altitude": 680e3, "ground_speed": 6800.0}
     assert content["instrument"] == {"ifov": 5e-6, "columns": 80, "line_period": 5e-4}
     assert [band["name"] for band in content["band"]] == ["PAN", "B1", "B0", "B2"]
@@ -91,3 +97,21 @@ def test_frames_are_written_with_the_times_given_and_the_true_ones_apart(tmp_pat
     times = np.loadtxt(tmp_path / "truth-frames.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(times[:, 1], scenario.times)
     assert np.loadtxt(tmp_path / "truth.csv", delimiter=",", skiprows=1).shape == (3, 4)
+
+
+def test_a_scene_that_turns_further_than_is_taken_for_granted_says_how_well_its_attitude_is_known(tmp_path):
+    # some px at the edge of 60 columns of 5 urad: hundredths of a radian of yaw, and of its rate
+    scenario = line_of_sight_case("nominal", 0, lines=500, columns=60)
+    write_strip(scenario, tmp_path)
+    known = load_acquisition(tmp_path / "acquisition.toml").known_motion
+    t, yaw = scenario.truth[:, 0], scenario.truth[:, 3]
+    even, mean = (abs(float(v)) for v in np.polyfit(t - t.mean(), yaw, 1))
+    assert even > 1e-3 and even <= known.rate_sigma <= 2.0 * even
+    assert max(mean, 1e-2) <= known.attitude_sigma <= max(2.0 * mean, 1e-2)
+
+
+def test_what_is_not_said_of_the_attitude_is_what_the_schema_takes_for_granted():
+    usual = KnownContent()
+    assert files.ATTITUDE_KNOWN == {"attitude_sigma": usual.attitude_sigma, "rate_sigma": usual.rate_sigma}
+    schema = LevelFlight(kind="level-flight", altitude=1.0, ground_speed=1.0)
+    assert (schema.attitude_sigma, schema.rate_sigma) == (usual.attitude_sigma, usual.rate_sigma)

@@ -24,6 +24,8 @@ from sightline.simulate.texture import Array
 from sightline.writing import whole_raster
 
 CONTROL_POINTS = "control_points.csv"
+#: rad and rad/s: what an ACQUISITION file that says nothing of them means (its schema; a test compares).
+ATTITUDE_KNOWN = {"attitude_sigma": 1e-2, "rate_sigma": 1e-3}
 
 
 def write_strip(
@@ -112,6 +114,7 @@ def acquisition_toml(
         'kind = "level-flight"',
         f"altitude = {options.altitude!r}",
         f"ground_speed = {options.ground_speed!r}",
+        *_attitude_known(scenario.truth),
         "",
         "[instrument]",
         f"ifov = {options.ifov!r}",
@@ -139,6 +142,21 @@ def acquisition_toml(
     for kind, table in sensors:
         lines += ["", "[[attitude_sensor]]", f'kind = "{kind}"', f'table = "{table}"']
     return "\n".join(lines) + "\n"
+
+
+def _attitude_known(truth: Array) -> list[str]:
+    """How well the attitude is known, where the scene moves further than is taken for granted.
+
+    Some px at the edge of a narrow field are a yaw, and a rate of yaw, that few platforms have.
+    """
+    t, angles = truth[:, 0], truth[:, 1:]
+    mean, even = np.abs(np.polynomial.polynomial.polyfit(t - t.mean(), angles, 1)).max(axis=1)
+    said = []
+    for (name, usual), most in zip(ATTITUDE_KNOWN.items(), (mean, even), strict=True):
+        if most > usual:
+            digit = 10.0 ** np.floor(np.log10(most))
+            said.append(f"{name} = {np.ceil(most / digit) * digit:.0e}")
+    return said
 
 
 def _toml(value: str | float | tuple[int, ...]) -> str:

@@ -1,6 +1,7 @@
 """``poses.csv``, ``covariance.npz`` and their score from a folder."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,7 +34,8 @@ def poses(count=5, seed=0):
 
 
 def covariances(table):
-    return PoseCovariance(table.frames, np.tile(np.eye(6), (len(table), 1, 1)), np.arange(6.0), np.eye(6))
+    square, follow = np.tile(np.eye(6), (len(table), 1, 1)), np.tile(0.5 * np.eye(6), (len(table) - 1, 1, 1))
+    return PoseCovariance(table.frames, square, np.arange(6.0), np.eye(6), None, follow, None, 1e-3)
 
 
 def test_poses_round_trip(tmp_path):
@@ -60,7 +62,7 @@ def test_covariances_round_trip(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["covariance.npz"]
     read = read_pose_covariance(tmp_path / "covariance.npz")
     assert read.frames == given.frames
-    for name in ("covariance", "datum", "datum_covariance"):
+    for name in ("covariance", "datum", "datum_covariance", "next_covariance", "scale_sigma"):
         np.testing.assert_array_equal(getattr(read, name), getattr(given, name))
 
 
@@ -68,10 +70,7 @@ def test_covariances_that_are_damaged_are_refused_by_name(tmp_path):
     path = tmp_path / "covariance.npz"
     write_pose_covariance(path, covariances(poses()))
     whole = path.read_bytes()
-    negative = covariances(poses())
-    negative = PoseCovariance(
-        negative.frames, -negative.covariance, negative.datum, negative.datum_covariance
-    )
+    negative = replace(covariances(poses()), covariance=-covariances(poses()).covariance)
     for said, content in {
         "cannot be read": whole[:300],
         "no such": None,

@@ -166,15 +166,23 @@ def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]
             said.append(
                 f"{parameter.name} is {value:.3g} {parameter.unit}".rstrip() + f" ({ratio:.2g} sigmas)"
             )
-    sigma = strip.known.attitude_sigma
-    for axis, mean in zip(("roll", "pitch", "yaw"), motion.angles.mean(axis=0), strict=True):
-        if abs(float(mean)) > FAR_OFF * sigma > 0.0:
-            said.append(f"a constant {axis} of {mean:.3g} rad ({abs(float(mean)) / sigma:.2g} sigmas)")
+    known = strip.known
+    t = motion.t - motion.t.mean()
+    lines = np.polynomial.polynomial.polyfit(t, motion.angles, 1) if len(t) > 1 else motion.angles
+    kinds = (
+        ("a constant {} of {:.3g} rad", known.attitude_sigma),
+        ("an even rate of {} of {:.3g} rad/s", known.rate_sigma),
+    )
+    for (words, sigma), values in zip(kinds, lines, strict=False):
+        for axis, value in zip(("roll", "pitch", "yaw"), values.tolist(), strict=True):
+            if abs(value) > FAR_OFF * sigma > 0.0:
+                said.append(f"{words.format(axis, value)} ({abs(value) / sigma:.2g} sigmas)")
     if not said:
         return []
     return [
         f"far from what was given: {', '.join(said)}; check ifov or directions, look_ahead, rotation, line "
-        "times and attitudes, or the sigmas that are stated of them"
+        "times and attitudes, or the sigmas that are stated of them ([platform] attitude_sigma and "
+        "rate_sigma are 0.01 rad and 0.001 rad/s where they are not given)"
     ]
 
 
