@@ -195,7 +195,7 @@ class InnerImage:
         return f"{self.kind}:{place}:{self.inner}"
 
 
-def within(path: str | os.PathLike[str]) -> InnerImage | None:
+def inner_image(path: str | os.PathLike[str]) -> InnerImage | None:
     """What a name stands for that is of pixels inside a file of this machine; None for all other names.
 
     Raises

@@ -214,3 +214,21 @@ def test_parts_of_a_coarse_pixel_average_the_image_as_the_pixel_does(ratio):
     # 1 / sinc(0.3 / parts) - 1 is at most 0.04 for two parts, along each axis; half a wave each on average
     assert np.sqrt(np.mean((got - want) ** 2)) < 0.06 * want.std()
     assert np.corrcoef(got.ravel(), want.ravel())[0, 1] > 0.999
+
+
+@pytest.mark.parametrize("gap", [4.0, 15.0, 40.0, 3000.0])
+def test_lines_beyond_a_gap_leave_those_before_it_as_they_are(gap):
+    lines, columns = np.arange(40.0), 64
+    pixels = np.sin(0.5 * lines)[:, None] + np.zeros((1, columns))
+    places = np.repeat(lines[:, None] + gap * (lines >= 20.0)[:, None], 2, axis=1)
+
+    def moved(rows, at):
+        return np.stack(np.meshgrid(rows + 0.25, at, indexing="ij"), axis=-1)
+
+    image = WarpedImage(ArrayImage(pixels.astype(np.float32)), moved, (40, columns), 16, places)
+    seen = image.read((4, 36), (8, 56))
+    assert np.isfinite(seen).all() and np.abs(seen).max() < 3.0
+    # three lines or more before the gap and behind it
+    expected = np.sin(0.5 * (np.arange(4, 36) + 0.25))[:, None]
+    far = np.r_[0:12, 20:32]
+    assert_allclose(seen[far], np.broadcast_to(expected[far], seen[far].shape), atol=0.01)

@@ -13,7 +13,7 @@ import rasterio
 from scipy.io import netcdf_file
 from tests.io.conftest import write_tif
 
-from sightline.access import within
+from sightline.access import inner_image
 from sightline.cli.main import run
 from sightline.errors import FormatError
 from sightline.imaging.rasters import open_raster
@@ -127,7 +127,7 @@ def test_what_a_product_may_not_hold_is_refused_before_it_is_opened(granule, tri
 
 def test_a_file_of_such_a_name_is_itself(tmp_path):
     (tmp_path / "NETCDF:a:b").write_text("")
-    assert within(tmp_path / "NETCDF:a:b") is None and within("plain.tif") is None
+    assert inner_image(tmp_path / "NETCDF:a:b") is None and inner_image("plain.tif") is None
 
 
 def test_a_strip_may_be_read_from_an_archive(recovery, tmp_path, capsys):

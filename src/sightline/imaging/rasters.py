@@ -32,10 +32,10 @@ from sightline.access import (
     check_inside,
     current_access,
     folders_for,
+    inner_image,
     read_text,
     refuse_network,
     remote_name,
-    within,
 )
 from sightline.errors import FormatError, SightlineError, foreign_errors
 from sightline.imaging.hdf5_links import check_hdf5, hdf5_start
@@ -151,7 +151,7 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     """
     access = current_access() if access is None else access
     path = Path(path)
-    inside = within(path)
+    inside = inner_image(path)
     if inside is not None:
         return _opened_within(path, inside, access)
     remote = remote_name(path)

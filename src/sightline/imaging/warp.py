@@ -64,8 +64,8 @@ def _fill_uneven_weights(places, row, line, share, flat, work, out):  # type: ig
 
     Those of `resample.delay_weights`, with the lines where they are: the normal matrix is the autocorrelation
     of a spectrum that is flat up to a frequency between the lines, the right side that between lines and
-    place; `flat` tabulates it (`_flat_table`). `share` of the way from the first to the last column; `work`
-    (11, 8) of scratch.
+    place; `flat` tabulates it (`_flat_table`), its last entry stands for what is farther, beyond a gap in the
+    lines. `share` of the way from the first to the last column; `work` (11, 8) of scratch.
     """
     x, factor = work[0], work[1:9]
     for k in range(8):
@@ -77,11 +77,11 @@ def _fill_uneven_weights(places, row, line, share, flat, work, out):  # type: ig
     last = len(flat) - 2
     for i in range(8):
         for j in range(i):
-            lag = abs(x[i] - x[j])
+            lag = min(abs(x[i] - x[j]), last + 1.0)
             at = min(int(lag), last)
             factor[i, j] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
         factor[i, i] = flat[0] + 1e-9
-        lag = abs(x[i] - y)
+        lag = min(abs(x[i] - y), last + 1.0)
         at = min(int(lag), last)
         free[i] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
         ones[i] = 1.0

@@ -302,7 +302,7 @@ def _tables(result: LineOfSight, summary: Mapping[str, Any], *, pairs: bool) -> 
             "/ yaw). Constants of a sensor are in µrad (drift µrad/s), with their sigma after the estimate.",
             Table(
                 "name|kind|readings used|outliers|sigma|its constants".split("|"),
-                words.sensor_rows(result),
+                words.sensor_table(result),
                 [0, 1, 5],
             ),
         ),

@@ -161,7 +161,7 @@ def static_rows(result: LineOfSight) -> list[list[str]]:
     return rows
 
 
-def sensor_rows(result: LineOfSight) -> list[list[str]]:
+def sensor_table(result: LineOfSight) -> list[list[str]]:
     """Table of attitude sensors and control points: name, kind, readings, outliers, sigma, constants."""
     rows = []
     for use in result.sensors:

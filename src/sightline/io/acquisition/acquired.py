@@ -21,10 +21,10 @@ from sightline.access import (
     allow_folders,
     check_file,
     current_access,
+    inner_image,
     located,
     refuse_network,
     remote_name,
-    within,
 )
 from sightline.errors import FormatError, SightlineError, foreign_errors
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
@@ -176,7 +176,7 @@ def field_of_view(camera: PushbroomCamera | FrameCamera) -> tuple[float, float]:
 
 def sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file, read in pieces; of what is read from servers, that it was."""
-    inside = within(path)
+    inside = inner_image(path)
     if inside is None and remote_name(path) is not None:
         return "read from a server"
     with (path if inside is None else inside.file).open("rb") as stream:
@@ -261,7 +261,7 @@ class InputFolder:
         self._place_of[path] = place
         if path not in self.used:
             self.used.append(path)
-        inside = within(path)
+        inside = inner_image(path)
         if inside is not None:
             check_file(inside.file, advice, place)
         elif remote_name(path) is None:
@@ -273,7 +273,7 @@ class InputFolder:
     def lacks_file(self, name: str) -> bool:
         """Whether a name is of a file of this machine that is not there."""
         path = self.path(name)
-        inside = within(path)
+        inside = inner_image(path)
         if inside is None and remote_name(path) is not None:
             return False
         return not os.path.lexists(path if inside is None else inside.file)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sightline.access import located, remote_name, within
+from sightline.access import inner_image, located, remote_name
 from sightline.errors import InputError, SightlineError
 from sightline.execution import Step, no_step, part_of
 from sightline.geometry.surface import Infinity
@@ -202,7 +202,9 @@ def _moved(row: Mapping[str, Any], keys: Sequence[str], folder: Path, place: Pat
             path = located(folder, name)
             # addresses, and what lies within archives, are where they are
             moved[key] = (
-                path_from(path, place) if remote_name(path) is None and within(path) is None else str(path)
+                path_from(path, place)
+                if remote_name(path) is None and inner_image(path) is None
+                else str(path)
             )
     return moved
 
