@@ -101,6 +101,27 @@ def test_a_control_point_that_is_wrong_is_found_by_the_others(band):
     assert np.sqrt((error[:, :2] ** 2).mean(axis=0)).max() < 0.24
 
 
+def test_windows_beyond_the_image_take_no_part(band):
+    given, options = band
+    points = sighted(options, np.zeros((LINES, 3)), 0)
+    away = np.array([5000.0, 0.0])
+    some = points.pixels + away * (np.arange(POINTS) % 2)[:, None]
+    found = recover_line_of_sight([given], Plane(0.0), control_points=replace(points, pixels=some))
+    assert len(found.control.kept) == POINTS // 2
+    assert f"{POINTS // 2} of {POINTS} control points lie beyond the image" in " ".join(found.warnings)
+    every = replace(points, pixels=points.pixels + away)
+    with pytest.raises(EstimationError, match=f"0 of {POINTS} control points are seen"):
+        recover_line_of_sight([given], Plane(0.0), control_points=every)
+    y = 300.0 * options.ground_speed * options.line_period
+    line = replace(
+        points,
+        pixels=np.column_stack([np.full(POINTS, 300.0), points.pixels[:, 1]]),
+        position=points.position * [1.0, 0.0, 1.0] + np.array([0.0, y, 0.0]),
+    )
+    with pytest.raises(EstimationError, match="on one line, which shows no motion"):
+        recover_line_of_sight([given], Plane(0.0), control_points=line)
+
+
 def test_what_one_band_cannot_give_is_refused(band):
     given, options = band
     points = sighted(options, np.zeros((LINES, 3)), 0)

@@ -140,6 +140,11 @@ def _check_enough(strip: Strip, seen: SensorRows | None) -> None:
             f"looks; a strip of one band is recovered from {needed} or more: `sightline tie` finds them in "
             "an orthoimage, or check x, y, z and line of those given"
         )
+    assert seen is not None
+    if len(np.unique(seen.instants[::2].mean(axis=1))) < 2:
+        raise EstimationError(
+            "all control points on the image lie on one line, which shows no motion: give some on other lines"
+        )
 
 
 def _check_tied(estimate: JointEstimate) -> None:

@@ -474,6 +474,8 @@ def _control_of_image(
     )
     last = grid.start + grid.step * (grid.count - 1)
     good = known & np.isfinite(value).all(axis=1) & ((t >= grid.start) & (t <= last)).all(axis=1)
+    # windows end with the image, so that their instants do not tell a place beyond it
+    good &= (seen[:, 0] >= -1.0) & (seen[:, 0] <= camera.shape[0])
     return t[good], by[good], by_static[good], value[good], whiten[good]
 
 

@@ -196,6 +196,12 @@ def control_warnings(
             f"{(~observed).sum()} of {len(observed)} lines lie beside no control point: the motion there is "
             "interpolated, its sigma grown by what the spectrum of the others lets believe"
         )
+    given = 0 if strip.control is None else len(strip.control.sigma)
+    if given > len(fit.kept):
+        out.append(
+            f"{given - len(fit.kept)} of {given} control points lie beyond the image, or so near its ends "
+            "that the camera as given does not show them, and take no part"
+        )
     lost = int((~fit.kept).sum())
     if lost:
         out.append(
