@@ -166,3 +166,14 @@ def test_a_window_s_mean_is_that_of_two_of_its_instants(band):
         every = 300.0 + np.arange(count) - 0.5 * (count - 1.0)
         for power in (1, 2, 3):
             np.testing.assert_allclose((instants**power).mean(), (every**power).mean(), rtol=1e-9)
+
+
+def test_columns_counted_from_the_other_side_are_warned_of(band):
+    given, options = band
+    points = sighted(options, np.zeros((LINES, 3)), 0)
+    assert "passes for jitter" not in " ".join(
+        recover_line_of_sight([given], Plane(0.0), control_points=points).warnings
+    )
+    pixels = points.pixels * [1.0, -1.0] + [0.0, COLUMNS - 1.0]
+    found = recover_line_of_sight([given], Plane(0.0), control_points=replace(points, pixels=pixels))
+    assert "columns counted from the other side" in " ".join(found.warnings)

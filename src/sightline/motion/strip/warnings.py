@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sightline.estimation.prior import Matern
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.measure.stars import StarRecord
@@ -31,6 +32,8 @@ FEWEST_KEPT, LEAST_SHARE = 10, 0.1
 #: Matches that span less than this share of the field hardly tell yaw.
 ENOUGH_FIELD = 0.3
 
+#: px; jitter that one detector line hardly ever has.
+WILD_PX = 5.0
 #: Sigmas stated beforehand by which what was found may be off, unsaid.
 FAR_OFF = 3.0
 
@@ -208,6 +211,16 @@ def control_warnings(
             f"{lost} of {len(fit.kept)} control points are contradicted by the others, and believed so much "
             "less"
         )
+    if strip.known.spectra is None:
+        # drift, then what is quicker (`control_only.fit_control_spectrum`)
+        seen = zip(state.model.spectra[:2], strip.scale[:2], strict=True)
+        quick = [c.sigma / px for s, px in seen for c in s.components[1:2] if isinstance(c, Matern)]
+        if max(quick, default=0.0) > WILD_PX:
+            out.append(
+                f"control points depart from each other by {max(quick):.3g} px, which passes for jitter: are "
+                "columns counted from the other side, lines and columns exchanged, or places of another band "
+                "or projection? Look at some in the image"
+            )
     return (*out, *_far_off(strip, state.estimate, motion), *_sensor_warnings(strip, state.estimate))
 
 
