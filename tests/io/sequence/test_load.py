@@ -115,6 +115,15 @@ def test_event_marks_and_a_trajectory_of_many_records_give_times_and_poses(tmp_p
     np.testing.assert_allclose(load_sequence(path).t, marks, atol=1e-12)
 
 
+def test_event_marks_beside_the_times_of_a_table_are_named(tmp_path):
+    made = flight()
+    made.toml = 'events = "marks.csv"\n' + made.toml
+    path = made.write(tmp_path)
+    (tmp_path / "marks.csv").write_text("t\n" + "".join(f"{9 + 0.5 * k}\n" for k in range(6)))
+    with pytest.raises(FormatError, match=r"in marks\.csv it is 9; they must agree"):
+        load_sequence(path)
+
+
 def test_frames_are_read_when_they_are_asked_for(tmp_path):
     problem = load_sequence(flight().write(tmp_path))
     expected = np.random.default_rng(3).integers(0, 4000, SHAPE).astype(np.float32)

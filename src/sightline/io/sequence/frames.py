@@ -54,6 +54,8 @@ class FrameList:
     warnings : tuple of str
     broken : tuple of str
         Why what each photograph says of itself cannot be read, "" where it can; empty for a table.
+    marks : Path or None
+        Event marks that the times are of, where there are such.
     """
 
     path: Path
@@ -65,6 +67,7 @@ class FrameList:
     xmp: tuple[Xmp | None, ...] = ()
     warnings: tuple[str, ...] = ()
     broken: tuple[str, ...] = ()
+    marks: Path | None = None
 
 
 def read_frames(file: SequenceFile, files: InputFolder) -> FrameList:
@@ -113,7 +116,7 @@ def with_events(frames: FrameList, file: SequenceFile, files: InputFolder) -> Fr
         )
     check_times(path, t)
     _check_marks(path, frames, t)
-    return replace(frames, t=t)
+    return replace(frames, t=t, marks=path)
 
 
 def _check_marks(path: Path, frames: FrameList, t: Array) -> None:

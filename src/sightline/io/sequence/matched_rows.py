@@ -100,9 +100,8 @@ def matched(path: Path, frames: FrameList, names: tuple[str, ...], t: Array | No
     if len(far):
         k = int(far[0])
         raise FormatError(
-            f"{path}: frame {names[k]!r} has t = {t[k]:.9g}, in {frames.path.name} it is "
-            f"{own[k]:.9g}; they must "
-            "agree"
+            f"{path}: frame {names[k]!r} has t = {t[k]:.9g}, in "
+            f"{(frames.marks or frames.path).name} it is {own[k]:.9g}; they must agree"
         )
     return frame, np.where(np.isfinite(own), own, t)
 
