@@ -66,6 +66,19 @@ def test_covariances_round_trip(tmp_path):
         np.testing.assert_array_equal(getattr(read, name), getattr(given, name))
 
 
+def test_covariances_of_an_earlier_version_are_read_without_those_between_frames(tmp_path):
+    path = tmp_path / "covariance.npz"
+    write_pose_covariance(path, covariances(poses()))
+    with np.load(path) as file:
+        kept = {k: file[k] for k in file.files if k not in ("next_covariance", "scale_sigma")}
+    np.savez(path, **kept)
+    read = read_pose_covariance(path)
+    assert np.isnan(read.next_covariance).all() and read.next_covariance.shape == (4, 6, 6)
+    assert np.isnan(read.scale_sigma)
+    write_pose_covariance(path, read)
+    assert np.isnan(read_pose_covariance(path).next_covariance).all()
+
+
 def test_covariances_that_are_damaged_are_refused_by_name(tmp_path):
     path = tmp_path / "covariance.npz"
     write_pose_covariance(path, covariances(poses()))

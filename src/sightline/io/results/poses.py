@@ -174,7 +174,7 @@ class PoseCovariance(ReadOnlyArrays):
     pair_covariance : (M, 6, M, 6) or None
         Of all frames with each other; None of flights of many frames.
     scale_sigma : float
-        Relative 1-sigma of the size of the flight as a whole.
+        Relative 1-sigma of the size of the flight as a whole; NaN where it is not known.
     """
 
     frames: tuple[str, ...]
@@ -213,9 +213,14 @@ def read_pose_covariance(path: Path) -> PoseCovariance:
     file = read_arrays(path, what, advice)
     with foreign_errors(path, f"cannot be read as {what}", advice):
         frames = tuple(str(word) for word in file["frame"])
+        count = len(frames)
+        given = dict(file)
+        # a folder of an earlier version, or of another program, says nothing of frames with one another
+        given.setdefault("next_covariance", np.full((max(count - 1, 0), 6, 6), np.nan))
+        given.setdefault("scale_sigma", np.array(np.nan))
         names = ("covariance", "datum", "datum_covariance", "next_covariance")
-        arrays = [np.asarray(file[k], dtype=np.float64) for k in names]
-        count, scale = len(frames), float(file["scale_sigma"])
+        arrays = [np.asarray(given[k], dtype=np.float64) for k in names]
+        scale = float(given["scale_sigma"])
         pairs = None
         if "pair_covariance" in file:
             pairs = frozen(np.asarray(file["pair_covariance"], dtype=np.float64).reshape(count, 6, count, 6))
