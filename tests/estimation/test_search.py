@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import toeplitz
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import NoiseModel, Search, descend
+from sightline.estimation.search import NoiseModel, Search, descend_within
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, COUNT, TDI, SIGMA = 1e-3, 800, 8e-3, 0.02
@@ -125,17 +125,17 @@ class TestDescend:
 
     def test_a_bent_valley_is_followed_to_its_lowest_place(self):
         bounds = np.array([[-5.0, 5.0], [-5.0, 5.0]])
-        found = descend(self.valley, np.array([-1.2, 1.0]), bounds, np.eye(2), 200, 1e-14)
+        found = descend_within(self.valley, np.array([-1.2, 1.0]), bounds, np.eye(2), 200, 1e-14)
         np.testing.assert_allclose(found, [1.0, 1.0], atol=1e-5)
 
     def test_a_bound_is_kept_and_the_rest_is_lowered_along_it(self):
         bounds = np.array([[-5.0, 0.5], [-5.0, 5.0]])
-        found = descend(self.valley, np.array([-1.2, 1.0]), bounds, np.eye(2), 200, 1e-14)
+        found = descend_within(self.valley, np.array([-1.2, 1.0]), bounds, np.eye(2), 200, 1e-14)
         np.testing.assert_allclose(found, [0.5, 0.25], atol=1e-5)
 
     def test_where_there_is_no_value_it_does_not_go(self):
         def wall(x):
             return (float("inf"), np.zeros(1)) if x[0] > 2.0 else ((x[0] - 3.0) ** 2, 2.0 * (x - 3.0))
 
-        found = descend(wall, np.zeros(1), np.array([[-9.0, 9.0]]), np.eye(1), 200, 1e-12)
+        found = descend_within(wall, np.zeros(1), np.array([[-9.0, 9.0]]), np.eye(1), 200, 1e-12)
         assert 1.9 < found[0] <= 2.0

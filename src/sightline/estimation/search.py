@@ -275,7 +275,7 @@ class Search:
 
         begin = self._model(x, origin)
         curvature = self._curvature(begin) + 2.0 * np.diag(pull + 1e-3)
-        return self._model(descend(objective, x, bounds, curvature, iterations, gain), origin)
+        return self._model(descend_within(objective, x, bounds, curvature, iterations, gain), origin)
 
     def _curvature(self, model: NoiseModel) -> Array:
         """About the second derivatives of the deviance by the parameters.
@@ -623,7 +623,7 @@ class Search:
         return model
 
 
-def descend(
+def descend_within(
     objective: Callable[[Array], tuple[float, Array]],
     x: Array,
     bounds: Array,

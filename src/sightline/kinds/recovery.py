@@ -147,11 +147,7 @@ class Recovery(ResultKind):
 
     def exported(self, result: LineOfSight, acquisition: Any) -> Exported:
         """The refined attitude; with the acquisition, cameras of a strip that carry what was found."""
-        opened = result.origin if isinstance(result.origin, OpenedFolder) else None
-        if isinstance(acquisition, str | Path):
-            acquisition = load_acquisition(acquisition, look=False)
-        if acquisition is None and opened is None:
-            acquisition = acquisition_of(result)
+        opened, acquisition = folder_and_acquisition(result, acquisition)
         sigma = result.sigma
         if acquisition is None:
             assert opened is not None
@@ -206,6 +202,21 @@ def _message_frame(opened: OpenedFolder) -> str | None:
         return None
     rows = (line.partition("=") for line in opened.text("attitude.aem").splitlines())
     return next((value.strip() for key, _, value in rows if key.strip() == "REF_FRAME_A"), None)
+
+
+def folder_and_acquisition(
+    result: Result, acquisition: Any
+) -> tuple[OpenedFolder | None, Acquisition | None]:
+    """The folder that a result was opened from, and the acquisition, loaded where a file is given.
+
+    No folder: the result was made by a call, whose own acquisition serves. An opened one has what is given.
+    """
+    opened = result.origin if isinstance(result.origin, OpenedFolder) else None
+    if isinstance(acquisition, str | Path):
+        acquisition = load_acquisition(acquisition, look=False)
+    if acquisition is None and opened is None:
+        acquisition = acquisition_of(result)
+    return opened, acquisition
 
 
 def acquisition_of(result: Result) -> Acquisition:

@@ -15,7 +15,6 @@ from sightline.applications.registration import Registration, fit_every_pair
 from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.execution import part_of, steps_of
 from sightline.io.acquisition.acquired import Acquisition
-from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats.images import open_image
 from sightline.io.results.exports import OF_PLACE, Exported
 from sightline.io.results.line_of_sight import peak_memory, write_json
@@ -23,8 +22,8 @@ from sightline.io.results.recovered import Recovered
 from sightline.io.results.registered import write_products
 from sightline.io.results.registered_frames import without_margin, write_colours, write_values
 from sightline.io.results.registration import summarize_registration
-from sightline.kinds.kind import REPORT, SUMMARY, Columns, OpenedFolder, ResultKind, Tell, given
-from sightline.kinds.recovery import acquisition_of
+from sightline.kinds.kind import REPORT, SUMMARY, Columns, ResultKind, Tell, given
+from sightline.kinds.recovery import acquisition_of, folder_and_acquisition
 from sightline.products.frame_mosaic import Mosaic
 from sightline.report.register_page import register_page
 from sightline.result import source_of
@@ -128,11 +127,7 @@ class Registered(ResultKind):
 
     def exported(self, result: Registration, acquisition: Any) -> Exported:
         """What the images cover: the ground of the band whose grid they have, by its camera as given."""
-        opened = result.origin if isinstance(result.origin, OpenedFolder) else None
-        if isinstance(acquisition, str | Path):
-            acquisition = load_acquisition(acquisition, look=False)
-        if acquisition is None and opened is None:
-            acquisition = acquisition_of(result)
+        opened, acquisition = folder_and_acquisition(result, acquisition)
         if acquisition is None:
             raise InputError(
                 "registered images hold no camera: add --acquisition FILE, the ACQUISITION.toml that they "

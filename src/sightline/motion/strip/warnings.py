@@ -161,7 +161,7 @@ def _factor_words(factors: tuple[float, ...]) -> str:
 
 
 def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]:
-    """Statics and constant angles far from what was given, by what was said of them beforehand."""
+    """Statics, constant angles and even rates far from what was given, by what was said of them."""
     said = []
     for parameter, value in zip(strip.parameters, estimate.statics, strict=True):
         ratio = abs(float(value)) / parameter.sigma
