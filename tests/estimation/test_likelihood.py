@@ -138,6 +138,20 @@ def test_the_search_never_ends_worse_than_it_started(series: list[DifferenceSeri
     assert again.deviance <= fitted.deviance + 0.5
 
 
+def test_a_search_near_its_end_stays_there_and_finds_what_is_new(
+    series: list[DifferenceSeries], motion: np.ndarray, fitted
+) -> None:  # type: ignore[no-untyped-def]
+    near = fit_spectrum(series, start=fitted.spectrum, near=True)
+    # ends within what the last step of a search gains at most, and what rounding of idle parts leaves
+    assert abs(near.deviance - fitted.deviance) < 0.5
+    assert [round(tone.frequency) for tone in near.spectrum.tones] == [
+        round(tone.frequency) for tone in fitted.spectrum.tones
+    ]
+    new = motion + 0.3 * np.sin(2 * np.pi * 83.0 * STEP * np.arange(N))
+    found = fit_spectrum(measured(new, 0.03), start=fitted.spectrum, near=True).spectrum.tones
+    assert any(abs(tone.frequency - 83.0) < 1.0 for tone in found)
+
+
 def test_a_start_whose_parts_have_changed_places_is_not_kept() -> None:
     # three bands of a short crop, .5 and 1 s apart: of a drift that bends, and jitter of 40 ms
     t, lags, sigmas = np.arange(0.0, 0.53, 0.006), (-0.527, -1.005), (0.08, 0.03)

@@ -92,7 +92,7 @@ DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
 #: strips of 3,000 columns, more where the motion is large against the search.
 DRAFT_LEFT = 0.25
 #: What the spectra of drafts cost against those of the last pass.
-DRAFT_WORK = 0.3
+DRAFT_WORK = 0.5
 #: A given spectrum that moves the motion by more of its sigmas is not that of the motion.
 FOREIGN_SPECTRUM = 3.0
 #: Windows by which shapes of detector lines are found: narrow, and of enough lines to match well.
@@ -476,6 +476,9 @@ def _compensated_pass(
         strip.known.tones,
         fitted,
         SETTLED if strip.draft else CLOSELY,
+        near=number > 1,
+        # the last pass of a wide strip asks anew, with all windows
+        smoothness=not strip.draft and (number <= 1 or number == options.passes),
     )
     if solved.prior.relief is not None:
         model = model.beside_relief(strip.grid.step * strip.grid.count)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded, solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 from sightline.compiled import njit
 from sightline.errors import EstimationError, InputError
@@ -36,8 +37,12 @@ Array = NDArray[np.float64]
 #: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
 PIECE_BYTES, HELD_BYTES = 12_000_000, 24_000_000
 #: Right sides from which on one sweep over the factor for all of them beats one sweep each (LAPACK's way).
-SWEEP_COLUMNS = 3
+SWEEP_COLUMNS = 8
 
+
+#: Columns of the inverse that are found at once, and how many times as many its window moves through before
+#: it is put back.
+INVERSE_BLOCK, INVERSE_ROOM = 32, 4
 
 #: What is said of a matrix that is not positive definite.
 NOT_DEFINITE = (
@@ -332,24 +337,33 @@ def inverse_columns(lower: Array, width: int, window: Array) -> tuple[Array, Arr
     window : (w, w)
         The inverse at the first w unknowns from these columns on.
     """
-    n, keep = lower.shape[1], len(window)
-    block = int(np.clip(lower.shape[0] - 1, 24, 96))
+    depth, n, keep = lower.shape[0], lower.shape[1], len(window)
+    block = int(np.clip(depth - 1, 24, INVERSE_BLOCK))
     result = np.zeros((width + 1, n))
     copied = min(width, keep)
+    # the window moves up through a larger array, and back to its end where it has reached the top
+    size = keep + INVERSE_ROOM * block
+    field = np.zeros((size, size), order="F")
+    at = size - keep
+    field[at:, at:] = window
     for stop in range(n, 0, -block):
         start = max(0, stop - block)
-        size = stop - start
-        below_start, below = dense_columns(lower[:, start:stop], keep)
-        inverse = solve_triangular(
-            below_start, np.eye(size), lower=True, overwrite_b=True, check_finite=False
-        )
-        z = np.empty((size + keep, size), order="F")
-        np.matmul(window, below @ -inverse, out=z[size:])
-        corner = inverse.T @ (inverse - below.T @ z[size:])
-        z[:size] = 0.5 * (corner + corner.T)
+        count = stop - start
+        if at < count:
+            known = field[at : at + keep, at : at + keep].copy()
+            at = size - keep
+            field[at:, at:] = known
+        corner, below = dense_columns(lower[:, start:stop], keep)
+        inverse = dtrtri(corner, lower=1)[0]
+        new = at - count
+        z = field[new : at + keep, new:at]
+        np.matmul(field[at : at + keep, at : at + keep], below @ -inverse, out=z[count:])
+        here = inverse.T @ (inverse - below.T @ z[count:])
+        z[:count] = 0.5 * (here + here.T)
+        field[new:at, at : at + keep] = z[count:].T
         result[: copied + 1, start:stop] = _skewed(z, copied + 1)
-        window = _shifted(window, z, size)
-    return result, window
+        at = new
+    return result, field[at : at + keep, at : at + keep].copy()
 
 
 @njit(cache=True, nogil=True)
@@ -501,15 +515,3 @@ def _skewed(dense: Array, depth: int) -> Array:
     """View ``v[d, j] = dense[j + d, j]`` of a Fortran-ordered array at least `depth` rows taller."""
     item = dense.itemsize
     return as_strided(dense, (depth, dense.shape[1]), (item, dense.strides[1] + item))
-
-
-def _shifted(window: Array, z: Array, size: int) -> Array:
-    """Dense window of the inverse moved up by `size` columns, which `z` holds."""
-    keep = window.shape[0]
-    kept = max(0, keep - size)
-    moved = np.empty_like(window)
-    head = min(size, keep)
-    moved[:, :head] = z[:keep, :head]
-    moved[:head, head:] = z[head:keep, :head].T
-    moved[head:, head:] = window[:kept, :kept]
-    return moved

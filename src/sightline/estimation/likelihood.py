@@ -26,8 +26,8 @@ from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations,
 
 Array = NDArray[np.float64]
 
-#: Work allowed per evaluation, n b^2; about 40 ms. Longer strips are fitted on a coarser grid.
-WORK = 1.0e8
+#: Work allowed per evaluation, n b^2; about 20 ms. Longer strips are fitted on a coarser grid.
+WORK = 6.0e7
 #: Nodes of the grid of a fit from row to row of the measurements, where `WORK` allows it.
 NODES_IN_ROW = 2.0
 #: Steps of a search from each place to start, before tones are looked for.
@@ -87,6 +87,8 @@ def fit_spectrum(
     motion: tuple[Array, Array] | None = None,
     rate_seen: bool = False,
     settled: float = SETTLED,
+    near: bool = False,
+    smoothness: bool = True,
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -138,6 +140,11 @@ def fit_spectrum(
         Whether that rate was seen, and is not where something hidden was put.
     settled : float
         Deviance that the last step of the last search gains at most.
+    near : bool
+        Whether `start` is a fit of nearly these differences: the search goes on from it, and asks about the
+        aliases of its tones only where a further tone is found.
+    smoothness : bool
+        Whether the broadband part may be smoother than it was to begin with.
 
     Raises
     ------
@@ -175,18 +182,23 @@ def fit_spectrum(
         rate,
     )
     given = None if start is None else NoiseModel.of(start.scaled(1.0 / unit))
-    begins = _begins(search, _guesses(inside, grid), given, anew=max_tones > 0)
-    first = FIRST_ITERATIONS if max_tones > 0 else iterations
+    if given is not None and near:
+        begins = [given]
+    else:
+        begins = _begins(search, _guesses(inside, grid), given, anew=max_tones > 0)
+    first = FIRST_ITERATIONS if max_tones > 0 or near else iterations
     begun = [search.improve(search.with_given_tones(one, known_tones), first, ROUGHLY) for one in begins]
-    model = min(begun, key=search.deviance)
-    for _ in range(max_tones - len(model.tones)):
+    model = min(begun, key=search.deviance) if len(begun) > 1 else begun[0]
+    begun_with = len(model.tones)
+    for _ in range(max_tones - begun_with):
         found = search.unexplained_tones(model, false_alarm)
         if not found:
             break
         model = search.improve(model.with_tone(*found[0]), 10, ROUGHLY)
-    if model.tones:
+    if model.tones and not (near and len(model.tones) == begun_with):
         model = search.without_aliases(search.improve(model, 25, ROUGHLY), false_alarm)
-    model = search.with_smoothness(model)
+    if smoothness:
+        model = search.with_smoothness(model)
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
     model = search.improve(search.without_idle_tones(model), iterations, settled)

@@ -390,6 +390,8 @@ def fit_prior_model(
     known_tones: Sequence[float] = (),
     step: Step = no_step,
     settled: float = SETTLED,
+    near: bool = False,
+    smoothness: bool = True,
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -414,6 +416,7 @@ def fit_prior_model(
         Called with the number of fits that are done, and of all: two of each axis, by itself and with what
         the others show.
     settled : float
+    near, smoothness : bool
         See `estimation.likelihood.fit_spectrum`.
     """
     differences = angle_differences(stars, post_px, estimate)
@@ -449,6 +452,8 @@ def fit_prior_model(
             motion=(estimate.grid.nodes, estimate.nodes[:, axis]),
             rate_seen=axis not in hidden,
             settled=settled,
+            near=near or begin is not None,
+            smoothness=smoothness and begin is None,
         )
 
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
