@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.stats import norm
 
 from sightline.errors import InputError
-from sightline.imaging.mtf import absorption_mtf, aperture_mtf, diffusion_mtf, optics_mtf
+from sightline.imaging.mtf import aperture_mtf, diffusion_mtf, optics_mtf
 
 
 def test_aperture_is_the_transform_of_a_box():
@@ -21,15 +20,6 @@ def test_diffusion_is_the_transform_of_a_gaussian():
     gaussian = norm(scale=0.2).pdf
     value, _ = quad(lambda x: np.cos(2.0 * np.pi * 0.5 * x) * gaussian(x), -2.0, 2.0)
     assert diffusion_mtf(0.5, 0.2) == pytest.approx(value)
-
-
-def test_charge_from_below_the_depleted_layer_blurs():
-    f = np.array([0.0, 0.25, 0.5])
-    found = absorption_mtf(f, 0.1, 0.5, 10.0)
-    assert found[0] == pytest.approx(1.0)
-    assert (np.diff(found) < 0.0).all()
-    # no light below the layer: nothing diffuses
-    assert_allclose(absorption_mtf(f, 50.0, 1.0, 10.0), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("obscuration", [0.0, 0.35, 0.6])

@@ -485,11 +485,6 @@ class BorderedFactor:
         """The (q, q) block of the inverse that belongs to the border."""
         return self._solve_schur(np.eye(self.q))
 
-    @cached_property
-    def cross_covariance(self) -> Array:
-        """The (n, q) block of the inverse between banded unknowns and border."""
-        return np.asarray(-self._tied @ self.border_covariance, dtype=np.float64)
-
     def covariance_band(self, width: int) -> Array:
         """Band of the (n, n) block of the inverse, ``out[d, j]``, shape (width + 1, n)."""
         result = self._banded.inverse_band(width)

@@ -29,26 +29,6 @@ def diffusion_mtf(frequency: ArrayLike, sigma: ArrayLike) -> Array:
     return np.asarray(np.exp(-2.0 * (spread * np.asarray(frequency, dtype=np.float64)) ** 2))
 
 
-def absorption_mtf(frequency: ArrayLike, absorption: float, depth: float, length: float) -> Array:
-    """MTF of charge that diffuses from below a depleted layer.
-
-    Parameters
-    ----------
-    frequency : array_like
-        Cycles per pixel.
-    absorption : float
-        Per pixel, of the light in the substrate.
-    depth, length : float
-        Pixels; of the depleted layer, and diffusion length below it.
-    """
-    f = np.asarray(frequency, dtype=np.float64)
-
-    def response(inverse_length: ArrayLike) -> Array:
-        return np.asarray(1.0 - np.exp(-absorption * depth) / (1.0 + absorption / np.asarray(inverse_length)))
-
-    return response(np.sqrt(length**-2 + (2.0 * np.pi * f) ** 2)) / response(1.0 / length)
-
-
 def optics_mtf(
     frequency: ArrayLike, cutoff: float, *, obscuration: float = 0.0, wavefront: float = 0.0
 ) -> Array:

@@ -133,31 +133,6 @@ class ToneJitter:
 
 
 @dataclass(frozen=True, eq=False)
-class PsdJitter:
-    """A stationary Gaussian process with a tabulated power spectrum.
-
-    Parameters
-    ----------
-    frequencies : (K,) Hz, increasing, the first may be 0
-    psd : (K,) one-sided, unit^2/Hz; interpolated linearly, zero outside the table
-    """
-
-    frequencies: Array
-    psd: Array
-    instrument: bool = False
-
-    def sample(self, t: Array, rng: np.random.Generator) -> Array:
-        """A draw whose spectrum is the table, periodic over at least twice the span of `t`."""
-        step = time_step(t)
-        period = 2 * t.size + int(np.ceil(8.0 / (step * max(float(self.frequencies[-1]), 1e-9))))
-        grid = np.fft.rfftfreq(period, step)
-        density = np.interp(grid, self.frequencies, self.psd, left=0.0, right=0.0)
-        # white noise of variance one has the one-sided density 2 * step
-        white = np.fft.rfft(rng.standard_normal(period))
-        return np.fft.irfft(white * np.sqrt(density / (2.0 * step)), period)[: t.size]
-
-
-@dataclass(frozen=True, eq=False)
 class CurveJitter:
     """A measured curve: scaled to a wanted rms, stretched in time, started anywhere it fits.
 

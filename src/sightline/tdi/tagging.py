@@ -297,12 +297,6 @@ class Recalibrated:
     signal: Array
     sigma: Array
 
-    @property
-    def relative_sigma(self) -> Array:
-        """(L, C) `sigma` over the signal; infinite where that is 0."""
-        size = np.abs(self.signal)
-        return np.asarray(np.divide(self.sigma, size, out=np.full_like(size, np.inf), where=size > 0.0))
-
 
 def recalibrate(
     samples: ArrayLike,

@@ -6,7 +6,6 @@ Not here: what the values mean (``worldview.py``, ...).
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -171,10 +170,3 @@ def read_xml(path: Path, what: str) -> Part:
         raise FormatError(f"{path}: is no complete XML ({error}); is it cut short? fetch it again") from None
     root = builder.close()
     return Part(path, root.tag, root, what)
-
-
-def one_of(part: Part, names: Sequence[str]) -> str | None:
-    """The first of some paths that is there and holds words."""
-    return next(
-        (name for name in names if part.has(name) and (part.part(name).element.text or "").strip()), None
-    )
