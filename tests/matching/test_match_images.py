@@ -7,6 +7,7 @@ from matching.fourier_textures import information_bounds, shifted_pair
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.source import ArrayImage
 from sightline.matching import matches
+from sightline.matching.coarse import common_shift
 from sightline.matching.match_images import match_images
 from sightline.matching.select import grid_points
 from sightline.matching.whitening import estimate_whitening
@@ -292,3 +293,11 @@ def test_windows_are_kept_up_to_the_largest_sigma_of_any_direction(pairs):
     clear = np.abs(largest / most - 1.0) > 0.05
     np.testing.assert_array_equal(held.kept[free.kept][clear], (largest <= most)[clear])
     assert (largest[clear] <= most).mean() == pytest.approx(0.5, abs=0.2)
+
+
+@pytest.mark.parametrize("bare", ["constant", "no data"])
+def test_a_second_image_without_texture_where_it_is_searched_is_named(bare):
+    texture = np.random.default_rng(1).normal(100.0, 5.0, (240, 240)).astype(np.float32)
+    second = np.full_like(texture, 100.0 if bare == "constant" else np.nan)
+    with pytest.raises(InputError, match="the second image has no texture within 20 px"):
+        common_shift(ArrayImage(texture), ArrayImage(second), reach=20.0)

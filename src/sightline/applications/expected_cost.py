@@ -176,7 +176,9 @@ def strip_cost(bands: Sequence[Band], options: RecoverOptions) -> Cost:
         12.0 + each * lines + 0.27e-6 * pixels * (0.9 * max(rows, 0.1) + 0.1 * searched),
         BASE_BYTES + 0.2e9 + 1.9 * pixels * max(windows, 0.05) + 200.0 * first,
         f"{len(bands)} bands of {lines:,} lines x {columns:,} columns in {pairs:,} "
-        f"{'pair' if pairs == 1 else 'pairs'}",
+        f"{'pair' if pairs == 1 else 'pairs'}"
+        if pairs
+        else f"one band of {lines:,} lines x {columns:,} columns, by its control points",
     )
 
 

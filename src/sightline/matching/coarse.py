@@ -168,7 +168,8 @@ def common_shift(
     Raises
     ------
     InputError
-        If the images are too small to cut windows from, or no window of a has texture that may be used.
+        If the images are too small to cut windows from, no window of a has texture that may be used, or b has
+        none where they are sought.
 
     Notes
     -----
@@ -200,6 +201,11 @@ def common_shift(
         )
     surfaces = np.stack([_surface(cut[n], edges_b, bad_b, corner[n] + start, span) for n in keep])
     strength, place, chance = _peak(surfaces)
+    if not np.isfinite(strength):
+        raise InputError(
+            f"the second image has no texture within {reach:g} px of where windows of the first should lie: "
+            "it is constant, or unusable (no data, masked) there; give one that shows the same scene"
+        )
     own = _own_peaks(surfaces, place)
     scaled = whole_pixels(points[keep] + start + own - span, factor) - whole_pixels(points[keep], factor)
     shift = factor * (start + place - span).astype(np.float64)
@@ -247,6 +253,8 @@ def _peak(surfaces: NDArray[np.float32]) -> tuple[float, NDArray[np.int64], floa
     spread = np.sqrt(np.where(seen, variance[:, None, None], 0.0).sum(axis=0))
     enough = seen.sum(axis=0) >= max(1.0, _SEEN * seen.sum(axis=0).max())
     score = np.where(enough & (spread > 0.0), total / np.maximum(spread, 1e-30), -np.inf)
+    if not np.isfinite(score).any():
+        return -np.inf, np.array(total.shape) // 2, 1.0
     best: tuple[float, NDArray[np.int64], float] = (0.0, np.array(total.shape) // 2, np.inf)
     places = int(enough.sum())
     for blur in _BLURS:
