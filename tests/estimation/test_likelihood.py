@@ -152,6 +152,47 @@ def test_a_search_near_its_end_stays_there_and_finds_what_is_new(
     assert any(abs(tone.frequency - 83.0) < 1.0 for tone in found)
 
 
+def test_a_drift_of_a_few_bends_is_not_taken_for_none(dense_drift) -> None:  # type: ignore[no-untyped-def]
+    """NEES of what the fitted spectrum leaves of short drifts, of which the noise shows some four bends.
+
+    A mean over 4 x 40 squares has a standard deviation of (2 / 160)^.5 = .11, three of which are allowed; the
+    drift of largest likelihood is now and then none (NEES 1.7 in the mean).
+    """
+    step, count, noise = 0.02, 80, 0.3
+    t = step * np.arange(count)
+    grid = Grid.covering(0.0, t[-1], step)
+    at = np.rint((t - grid.nodes[0]) / step).astype(int)
+    line = np.stack([np.ones(count), t], axis=1)
+    left = np.eye(count) - line @ np.linalg.pinv(line)
+    found = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        x = dense_drift @ rng.standard_normal(count)
+        series = []
+        for n in (3, 5):
+            k = np.arange(count - n)
+            values = x[k + n] - x[k] + noise * rng.standard_normal(len(k))
+            series.append(
+                DifferenceSeries(
+                    t[k], np.full(len(k), n * step), values, np.full(len(k), noise**2), (0, n), 0.0
+                )
+            )
+        fit = fit_spectrum(series, step=step, max_tones=0)
+        prior = fit.spectrum.autoregressive(step, 40, grid.count)
+        now = posterior(series_equations(series, grid), prior, noise_scale=fit.noise_scale)
+        error = left @ (now.mean[at] - x)
+        covariance = left @ now.covariance_times(np.eye(grid.count)[:, at])[at] @ left
+        found.append(float(error @ error / np.trace(covariance)))
+    assert 0.67 < np.mean(found) < 1.33
+
+
+@pytest.fixture(scope="module")
+def dense_drift() -> np.ndarray:
+    """Root of the covariance of a drift of .5 over 1 s at 80 places, from its formula."""
+    a = np.sqrt(5.0) * 0.02 * np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
+    return np.linalg.cholesky(0.25 * (1.0 + a + a * a / 3.0) * np.exp(-a) + 1e-10 * np.eye(80))
+
+
 def test_a_start_whose_parts_have_changed_places_is_not_kept() -> None:
     # three bands of a short crop, .5 and 1 s apart: of a drift that bends, and jitter of 40 ms
     t, lags, sigmas = np.arange(0.0, 0.53, 0.006), (-0.527, -1.005), (0.08, 0.03)

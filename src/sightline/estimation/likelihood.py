@@ -188,7 +188,7 @@ def fit_spectrum(
         begins = _begins(search, _guesses(inside, grid), given, anew=max_tones > 0)
     first = FIRST_ITERATIONS if max_tones > 0 or near else iterations
     begun = [search.improve(search.with_given_tones(one, known_tones), first, ROUGHLY) for one in begins]
-    model = min(begun, key=search.deviance) if len(begun) > 1 else begun[0]
+    model = min(begun, key=search.cost) if len(begun) > 1 else begun[0]
     begun_with = len(model.tones)
     for _ in range(max_tones - begun_with):
         found = search.unexplained_tones(model, false_alarm)

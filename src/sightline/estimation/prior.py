@@ -117,6 +117,15 @@ class Matern:
         shape = np.polynomial.polynomial.polyval(x, _polynomial(self.derivatives))
         return np.asarray(self.sigma**2 * shape * np.exp(-x), dtype=np.float64)
 
+    def bend(self, length: float) -> float:
+        """Standard deviation of how far a motion bends away from a line over `length` s.
+
+        Constants and even drifts are hidden where offsets are free; sigma and timescale of a drift longer
+        than `length` are then observable only as what bends (sigma over timescale squared), not either alone.
+        """
+        k = self.autocovariance(np.array([0.0, 0.5 * length, length]))
+        return float(np.sqrt(max(6.0 * k[0] - 8.0 * k[1] + 2.0 * k[2], 0.0)))
+
     def psd(self, frequency: Array) -> Array:
         """One-sided power spectral density at `frequency` (Hz)."""
         rate, p = self._rate, self.derivatives

@@ -76,6 +76,9 @@ FARTHEST_STEP, HALVINGS = 1.5, 6
 TONE_SIZE, TONE_WIDTH = 40.0, 8.0
 #: What steps of the drift's size and time scale are held back by.
 DRIFT_RIDGE = 10.0
+#: The likelihood is multiplied by so many powers of the drift's standard deviation: by its variance (see
+#: `Search.cost`).
+ADJUSTED = 2.0
 #: Windows overlap where they are longer than so many times what lies between two rows.
 OVERLAPPING = 1.2
 #: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
@@ -207,6 +210,20 @@ class Search:
         """-2 log evidence of a model."""
         return self.posterior(model).deviance
 
+    def cost(self, model: NoiseModel) -> float:
+        """Deviance, with what makes a drift that few periods tell of no smaller than it may be.
+
+        Notes
+        -----
+        Of a drift a short strip shows a handful of bends. A variance that maximises the likelihood of so few
+        is as often far too small as too large, even none at all, and an estimate under a drift of no size is
+        certain of what it did not see; one under a drift that is too large only loses what the prior would
+        have told. So the likelihood is multiplied by the variance of the bend, which keeps what the prior is
+        believed unbiased to first order (Morris and Tang 2011, Statistical Science 26: adjustment for density
+        maximisation): among n bends that are clearly seen the variance is their sum of squares over n - 2.
+        """
+        return self.deviance(model) - 2.0 * ADJUSTED * math.log(model.drift.bend(self._length))
+
     # -- parameters as one vector: logarithms, and frequencies in units of 3 / length ---------------
 
     def _vector(self, model: NoiseModel) -> Array:
@@ -271,11 +288,24 @@ class Search:
                 value, slope = self._value_and_slope(self._model(x, origin))
             except (EstimationError, InputError):
                 return math.inf, np.zeros_like(x)
-            return value + float(pull @ (x - centre) ** 2), slope + 2.0 * pull * (x - centre)
+            adjusted, more = self._adjusted(x)
+            away = x - centre
+            return value + adjusted + float(pull @ away**2), slope + more + 2.0 * pull * away
 
         begin = self._model(x, origin)
         curvature = self._curvature(begin) + 2.0 * np.diag(pull + 1e-3)
         return self._model(descend_within(objective, x, bounds, curvature, iterations, gain), origin)
+
+    def _adjusted(self, x: Array) -> tuple[float, Array]:
+        """What `cost` adds to the deviance, and its derivatives."""
+
+        def of(log_timescale: float) -> float:
+            return -2.0 * ADJUSTED * math.log(Matern(1.0, math.exp(log_timescale), "5/2").bend(self._length))
+
+        slope, step = np.zeros(len(x)), 1e-3
+        slope[0] = -2.0 * ADJUSTED
+        slope[1] = (of(x[1] + step) - of(x[1] - step)) / (2.0 * step)
+        return of(x[1]) + slope[0] * float(x[0]), slope
 
     def _curvature(self, model: NoiseModel) -> Array:
         """About the second derivatives of the deviance by the parameters.

@@ -102,7 +102,7 @@ class PriorModel:
         length : float
             s; of the strip.
         """
-        bends = [_bend(_drift(s), length) for s in self.spectra]
+        bends = [_drift(s).bend(length) for s in self.spectra]
         across = self.spectra[int(np.argmax(bends[:2]))]
         if bends[2] >= max(bends[:2]):
             return self
@@ -116,10 +116,10 @@ class PriorModel:
         quicker must be relief: its time scale is at most ROUGH of the length, its bend as found.
         """
         roll, pitch, yaw = self.spectra
-        larger = max((_drift(roll), _drift(pitch)), key=lambda part: _bend(part, length))
+        larger = max((_drift(roll), _drift(pitch)), key=lambda part: part.bend(length))
         if larger.timescale > ROUGH * length:
             quick = Matern(1.0, ROUGH * length, larger.order)
-            larger = replace(quick, sigma=_bend(larger, length) / _bend(quick, length))
+            larger = replace(quick, sigma=larger.bend(length) / quick.bend(length))
         others = tuple(part for part in pitch.components if part is not _drift(pitch))
         return replace(self, spectra=(roll, Spectrum((larger, *others)), yaw))
 
@@ -146,7 +146,7 @@ class PriorModel:
         if not all(any(isinstance(c, Matern) for c in s.components) for s in self.spectra):
             return self  # densities that are given are taken as they are
         in_px = [s.scaled(1.0 / float(size)) for s, size in zip(self.spectra, scale, strict=True)]
-        largest = in_px[int(np.argmax([_bend(_drift(s), length) for s in in_px]))]
+        largest = in_px[int(np.argmax([_drift(s).bend(length) for s in in_px]))]
         least = largest.scaled(STILLEST)
         roll, pitch, yaw = (s if s is largest else _larger_parts(s, least, length) for s in in_px)
         return PriorModel(
@@ -183,19 +183,9 @@ def _broadband(spectrum: Spectrum) -> Matern:
     return [c for c in spectrum.components if isinstance(c, Matern)][-1]
 
 
-def _bend(part: Matern, length: float) -> float:
-    """Standard deviation (rad) of how far a motion bends away from a line over a strip of `length` s.
-
-    Constants and even drifts are hidden where offsets are free; sigma and timescale of a drift longer than
-    the strip are then observable only as what bends (sigma over timescale squared); either alone is not.
-    """
-    k = part.autocovariance(np.array([0.0, 0.5 * length, length]))
-    return float(np.sqrt(max(6.0 * k[0] - 8.0 * k[1] + 2.0 * k[2], 0.0)))
-
-
 def _larger_parts(one: Spectrum, other: Spectrum, length: float) -> Spectrum:
     """Drift, broadband and each tone of two spectra over `length` s, whichever is the larger."""
-    drift = max((_drift(one), _drift(other)), key=lambda part: _bend(part, length))
+    drift = max((_drift(one), _drift(other)), key=lambda part: part.bend(length))
     broadband = max((_broadband(one), _broadband(other)), key=lambda part: part.sigma)
     tones = list(one.tones)
     for tone in other.tones:
