@@ -331,8 +331,18 @@ def read_bytes(path: Path, what: str, *, most: int = TABLE, advice: str = "check
 def read_text(path: Path, what: str, *, most: int = TABLE, advice: str = "check the name") -> str:
     """The same as `read_bytes`, as UTF-8 without the byte order mark."""
     content = read_bytes(path, what, most=most, advice=advice)
+    refuse_utf16(path, content)
     with foreign_errors(path, f"cannot be read as {what}", "text in UTF-8 is expected"):
         return content.decode("utf-8-sig")
+
+
+def refuse_utf16(path: Path, content: bytes) -> None:
+    """FormatError where text begins with a byte order mark of UTF-16, or with Latin letters of 16 bits."""
+    head = content[:4]
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff") or (
+        len(head) == 4 and (head[1::2] == b"\0\0") != (head[::2] == b"\0\0")
+    ):
+        raise FormatError(f"{path}: is text in UTF-16; text in UTF-8 is expected: save it as UTF-8")
 
 
 def read_json(path: Path, what: str, *, advice: str = "check the name", before: str = "") -> Any:

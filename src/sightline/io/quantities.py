@@ -208,14 +208,17 @@ GroundSample = Annotated[float, Within(1e-7, 1e6, "m")]
 #: A slide under a microscope 1e-4 m/s, comet fly-bys 7e4 m/s, Parker Solar Probe 2e5 m/s.
 Speed = Annotated[float, Within(1e-6, 1e6, "m/s")]
 LengthSigma = Annotated[float, Within(1e-7, 1e7, "m", zero=True)]
-LengthSigmaAbove0 = Annotated[float, Within(1e-7, 1e7, "m")]
+#: In files and in tables.
+LENGTH_SIGMA = Within(1e-7, 1e7, "m")
+LengthSigmaAbove0 = Annotated[float, LENGTH_SIGMA]
 
 # Angles.
 LookAngle = Annotated[float, Within(-1.5, 1.5, "rad", "are these degrees?", above=True, below=True)]
 LineRotation = Annotated[float, Within(-0.8, 0.8, "rad", "are these degrees?", above=True, below=True)]
 #: Of any angle: the best star trackers reach 1e-9 rad, Gaia 1e-10; above a turn nothing is known.
 AngleSigma = Annotated[float, Within(1e-13, 6.3, "rad", "are these degrees?", zero=True)]
-AngleSigmaAbove0 = Annotated[float, Within(1e-13, 6.3, "rad", "are these degrees?")]
+ANGLE_SIGMA = Within(1e-13, 6.3, "rad", "are these degrees?")
+AngleSigmaAbove0 = Annotated[float, ANGLE_SIGMA]
 #: Of rates; gyros drift by 1e-12 rad/s at best, tumbling cubesats turn by 1 rad/s.
 RateSigma = Annotated[float, Within(1e-16, 1e3, "rad/s", zero=True)]
 #: Spin: the Moon 2.7e-6, Juno 0.21, Meteosat 10.5, sounding rockets 60 rad/s.
@@ -238,7 +241,8 @@ FocalSigmaPx = Annotated[float, Within(1e-6, 1e10, "px", zero=True)]
 #: In images and beside them: principal points of off-axis telescopes lie 1e5 px beside their detector.
 PixelPlace = Annotated[float, Within(-1e7, 1e7, "px")]
 PixelSigma = Annotated[float, Within(1e-7, 1e7, "px", zero=True)]
-PixelSigmaAbove0 = Annotated[float, Within(1e-7, 1e7, "px")]
+PIXEL_SIGMA = Within(1e-7, 1e7, "px")
+PixelSigmaAbove0 = Annotated[float, PIXEL_SIGMA]
 #: Lines of detectors: Pleiades 40,000; mosaics of chips 300,000. Area detectors: film scans 40,000 a side.
 Pixels = Annotated[int, Within(2, 1_000_000, "px")]
 FrameShape = Annotated[tuple[Pixels, Pixels], BeforeValidator(_two_whole_numbers)]

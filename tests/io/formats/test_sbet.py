@@ -109,6 +109,33 @@ def test_a_damaged_file_is_refused_by_its_record(tmp_path):
         read_orbit(path, EPOCH)
 
 
+def test_what_is_no_sbet_is_called_what_it_is(tmp_path):
+    path = tmp_path / "given"
+    path.write_bytes(b"".join(struct.pack(">17d", *row) for row in records()))
+    with pytest.raises(FormatError, match="is a SBET most byte first; least byte first is expected"):
+        read_orbit(path, EPOCH)
+    oem = "<oem><header></header><body>" + 50 * "<segment></segment>" + "</body></oem>"
+    for text, mark in (
+        (f'<?xml version="1.0"?>{oem}', "utf-16"),
+        (f"<oem>{oem}", "utf-16-le"),
+        (oem, "utf-16-be"),
+    ):
+        path.write_bytes(text.encode(mark))
+        with pytest.raises(FormatError, match="is text in UTF-16; text in UTF-8 is expected"):
+            read_orbit(path, EPOCH)
+    for text, words in (
+        (f"<ndm>{oem}{oem}</ndm>", "<ndm> holds 2 messages <oem>; one is needed: write each"),
+        ("<ndm><aem></aem></ndm>", "is an NDM of AEM; one OEM or OMM is needed here"),
+        ("<html><body>Log in</body></html>", "is XML or HTML that begins with <html>, and no CCSDS message"),
+    ):
+        path.write_text(text)
+        with pytest.raises(FormatError, match=words):
+            read_orbit(path, EPOCH)
+    # a raster, whose small numbers are doubles of no size
+    path.write_bytes(b"II*\0" + bytes(300))
+    assert not is_sbet(path)
+
+
 def test_a_strip_takes_its_positions_and_attitudes(folder):
     write(folder.path / "sbet.out", records(first=-5.0, count=400))
     folder.replace(

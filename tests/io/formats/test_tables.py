@@ -133,6 +133,26 @@ def test_a_sigma_of_zero_is_refused(tmp_path):
     assert "row 1: sigma = 0; a 1-sigma error must be positive" in said
 
 
+@pytest.mark.parametrize("sigma", ["1e300", "1e-300"])
+def test_a_sigma_that_no_instrument_has_is_refused_in_every_table(tmp_path, sigma):
+    for read, text, unit in (
+        (tables.read_star_tracker, f"t,roll,pitch,yaw,sigma\n0,0,0,0,{sigma}\n", "1e-13 to 6.3 rad are"),
+        (tables.read_gyro, f"t_start,t_end,roll,pitch,yaw,sigma\n0,1,0,0,0,{sigma}\n", "1e-13 to 6.3 rad"),
+        (
+            tables.read_control_points,
+            f"x,y,z,sigma,image,line,column\n0,0,0,{sigma},a,1,1\n",
+            "1e-7 to 1e7 m are",
+        ),
+        (
+            tables.read_control_points,
+            f"x,y,z,sigma,image,line,column,sigma_line,sigma_column,sigma_ground\n0,0,0,1,a,1,1,1,{sigma},1\n",
+            "1e-7 to 1e7 px are",
+        ),
+    ):
+        said = message(read, csv(tmp_path, text))
+        assert f"= {float(sigma):.6g} is not allowed: {unit}" in said
+
+
 def test_directions_must_run_over_all_columns_and_look_forward(tmp_path):
     said = message(tables.read_directions, csv(tmp_path, "column,x,y,z\n0,0,0,1\n2,0,0,1\n"))
     assert "row 2 has column = 2; columns must run 0, 1, 2" in said

@@ -107,6 +107,7 @@ def test_event_marks_and_a_trajectory_of_many_records_give_times_and_poses(tmp_p
         ("t\n" + "1.0\n2.0\n", "2 event marks for 6 frames"),
         ("t\n" + "".join(f"{9.0 + t}\n" for t in marks), "exposed outside of it"),
         ("frame,t\n0,0.1\n1,0.2\n", "has no row, and 4 frames in all"),
+        ("t\n" + "".join(f"{t + 3.0 * (t > 2.2)}\n" for t in marks), r"its time in frames\.csv"),
     ):
         table.write_text(rows)
         with pytest.raises(FormatError, match=words):
@@ -640,6 +641,8 @@ BAD = {
     "positions: nan": (cell("positions", 2, 2, "nan"), "column 'x' is nan"),
     "positions: covariance nan": (cell("positions", 2, 6, "nan"), "column 'sigma_y' is nan"),
     "positions: sigma": (cell("positions", 2, 6, 0.0), "sigma_y = 0; a 1-sigma error must be positive"),
+    "positions: sigma of no size": (cell("positions", 2, 6, 1e-300), "sigma_y = 1e-300 is not allowed: 1e-7"),
+    "attitudes: sigma of no end": (cell("attitudes", 2, 8, 1e300), "sigma_yaw = 1e.300 .* are these degrees"),
     "positions: one sigma": (header("positions", "frame,t,x,y,z,sigma_x,b,c"), "sigma_x alone"),
     "positions: time": (cell("positions", 2, 1, 77.0), "frame '2' has t = 77, in frames.csv it is 1"),
     "positions: names": (rename, "no row is of a frame: the first is of 'image 0'"),

@@ -506,7 +506,11 @@ BAD = {
         FormatError,
         "give point .of the table of points.",
     ),
-    "control: sigma": (control("x,y,z,sigma,point\n6.4e6,2,3,0,1\n"), FormatError, "sigma = 0 m"),
+    "control: sigma": (
+        control("x,y,z,sigma,point\n6.4e6,2,3,0,1\n"),
+        FormatError,
+        "sigma = 0; a 1-sigma error",
+    ),
     "control: unknown": (control("x,y,z,sigma,point\n6.4e6,2,3,1,77\n"), FormatError, "row 1 names point 77"),
     "control: twice": (control("x,y,z,sigma,point\n1,2,3,1,7\n1,2,3,1,7\n"), FormatError, "are both point 7"),
     "control: image": (

@@ -27,6 +27,7 @@ from sightline.io.formats.ccsds_message import (
     check_keys,
     chosen,
     clock_of,
+    kinds_within,
     known_axes,
     message_kind,
     read_message,
@@ -97,6 +98,15 @@ def is_ccsds(path: Path, *kinds: str) -> str | None:
     A file that is no CCSDS message (a CSV table) gives None.
     """
     found = message_kind(path)
+    if found == "NDM":
+        within = kinds_within(path)
+        allowed = sorted({kind for kind in within if kind in kinds})
+        if len(allowed) == 1:
+            return allowed[0]
+        raise FormatError(
+            f"{path}: is an NDM of {', '.join(within) or 'no message'}; one {' or '.join(kinds)} is needed "
+            "here: write it into a file of its own"
+        )
     if found is not None and found not in kinds:
         raise FormatError(f"{path}: is a CCSDS {found[:20]}; {' or '.join(kinds)} is needed here")
     return found

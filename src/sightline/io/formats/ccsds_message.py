@@ -50,6 +50,7 @@ _ORBITAL = (
     "LOCAL",
 )
 _ROOT = re.compile(r"<(?:\w+:)?(oem|aem|apm|omm|opm|ocm|acm|tdm|cdm|rdm|ndm)\b", re.IGNORECASE)
+_ELEMENT = re.compile(r"<([A-Za-z_][\w:.-]*)")
 _UNIT = re.compile(r"\s*\[[^\]]*\]$")
 #: s by which rows may lie beyond the span that their metadata state, which may be rounded.
 _ROUNDED = 1.0
@@ -95,7 +96,13 @@ class Message:
 
 
 def message_kind(path: Path) -> str | None:
-    """The kind of a CCSDS message ("OEM", "AEM", ...) by how it begins, packed or not; None for others."""
+    """The kind of a CCSDS message ("OEM", "AEM", ...) by how it begins, packed or not; None for others.
+
+    Raises
+    ------
+    FormatError
+        If it is XML of another kind.
+    """
     lines = [line.strip() for line in head_lines(path)]
     text = next((line for line in lines if line and not line.startswith("COMMENT")), "")
     if text.startswith("CCSDS_"):
@@ -104,7 +111,18 @@ def message_kind(path: Path) -> str | None:
         root = _ROOT.search("\n".join(lines))
         if root is not None:
             return root[1].upper()
+        other = _ELEMENT.search("\n".join(lines))
+        raise FormatError(
+            f"{path}: is XML or HTML{f' that begins with <{other[1][:40]}>' if other else ''}, and no CCSDS "
+            "message; a message in XML or KVN, or a table in CSV, is expected: is another file meant?"
+        )
     return None
+
+
+def kinds_within(path: Path) -> tuple[str, ...]:
+    """Kinds of the messages that an NDM in XML combines, each as often as it is there."""
+    text = read_packed_text(path, "a CCSDS message in XML")
+    return tuple(kind.upper() for kind in _ROOT.findall(text) if kind.upper() != "NDM")
 
 
 def read_message(path: Path, kind: str) -> Message:

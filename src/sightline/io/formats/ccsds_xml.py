@@ -51,7 +51,8 @@ def kvn_of_xml(path: Path, text: str, kind: str) -> str:
     messages = [root] if root.tag.upper() == kind else root.findall(kind.lower())
     if len(messages) != 1:
         raise FormatError(
-            f"{path}: <{root.tag[:40]}> holds {len(messages)} messages <{kind.lower()}>; one is needed"
+            f"{path}: <{root.tag[:40]}> holds {len(messages)} messages <{kind.lower()}>; one is needed: "
+            "write each into a file of its own, and name the one that is meant"
         )
     if kind in ("OEM", "AEM"):
         return "\n".join(_lines(path, messages[0], kind)) + "\n"

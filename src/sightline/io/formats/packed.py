@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from sightline.access import TABLE, check_file, read_bytes
+from sightline.access import TABLE, check_file, read_bytes, refuse_utf16
 from sightline.errors import FormatError, foreign_errors
 
 #: First bytes of each kind, and what opens it.
@@ -49,6 +49,7 @@ def read_packed_text(path: Path, what: str, *, most: int = TABLE) -> str:
             content = opener(io.BytesIO(content)).read(most + 1)
         if len(content) > most:
             raise FormatError(f"{path}: unpacks to more than {most:,} bytes; {what} is expected")
+        refuse_utf16(path, content)
         return content.decode("utf-8-sig")
 
 
@@ -60,6 +61,7 @@ def head_lines(path: Path) -> list[str]:
             opener = _opener(stream.read(8))
             stream.seek(0)
             content = (stream if opener is None else opener(stream)).read(HEAD)
+    refuse_utf16(path, content)
     return content.decode("utf-8", "replace").lstrip("\ufeff").splitlines()
 
 

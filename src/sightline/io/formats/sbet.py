@@ -51,6 +51,8 @@ _LIMITS = {
 }
 #: No value of a record is as large, even where its units are others than they should be.
 _LARGEST = 1e8
+#: Nor is it 0 by as little: text in 16 bits, and the numbers of a raster, make such doubles.
+_SMALLEST = 1e-30
 _WEEK = 604800.0
 _GPS_BEGAN = datetime(1980, 1, 6, tzinfo=UTC)
 #: GPS time less TAI, s.
@@ -91,7 +93,13 @@ class SmoothedTrajectory:
 
 
 def is_sbet(path: Path) -> bool:
-    """Whether a file begins with a record of a SBET: FormatError where it cannot be opened."""
+    """Whether a file begins with a record of a SBET.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be opened, or is a SBET most byte first.
+    """
     check_file(path, "check the name in the TOML file")
     with foreign_errors(path, "cannot be read", "a table, a message or a SBET is expected"):
         with path.open("rb") as stream:
@@ -100,7 +108,24 @@ def is_sbet(path: Path) -> bool:
     if len(head) < _RECORD.itemsize or not any(byte < 9 for byte in head):
         return False
     row = np.frombuffer(head, _RECORD)[0]
-    return bool(0.0 <= row[_TIME] <= _LIMITS[_TIME][1] and np.abs(row).max() < _LARGEST)
+    if _is_record(row):
+        return True
+    if _is_record(row.byteswap()) and _wrong(row.byteswap()[None]) is None:
+        raise FormatError(
+            f"{path}: is a SBET most byte first; least byte first is expected, as POSPac writes it: turn the "
+            "8 bytes of every number round"
+        )
+    return False
+
+
+def _is_record(row: Array) -> bool:
+    """Whether 17 numbers may be a record."""
+    size = np.abs(row)
+    return bool(
+        0.0 <= row[_TIME] <= _LIMITS[_TIME][1]
+        and size.max() < _LARGEST
+        and ((size == 0.0) | (size > _SMALLEST)).all()
+    )
 
 
 @reads("a SBET")

@@ -22,7 +22,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.access import read_text
 from sightline.errors import FormatError, InputError, foreign_errors, reads
-from sightline.io.quantities import QUATERNION_TOLERANCE, shown
+from sightline.io.quantities import (
+    ANGLE_SIGMA,
+    LENGTH_SIGMA,
+    PIXEL_SIGMA,
+    QUATERNION_TOLERANCE,
+    Within,
+    shown,
+)
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.writing import whole
 
@@ -122,7 +129,7 @@ def read_columns(
         other = next((sign for sign in (";", "\t", "|") if sign in header[0]), "")
         advice = f"; values are parted by commas, not by {other!r}, and hold decimal points" if other else ""
         raise FormatError(
-            f"{path}: column {missing[0]!r} is missing: the header is {','.join(header)!r}; "
+            f"{path}: column {missing[0]!r} is missing: the header is {shown(','.join(header))}; "
             f"expected {','.join(columns)!r}{advice}"
         )
     body = rows[1:]
@@ -381,7 +388,7 @@ def read_star_tracker(path: Path) -> tuple[Array, Array, Array]:
     table = read_columns(path, STAR_TRACKER)
     t = _matrix(table, ["t"])[:, 0]
     check_times(path, t)
-    return t, _matrix(table, ANGLES), _sigma(path, table)
+    return t, _matrix(table, ANGLES), sigma_columns(path, table, ["sigma"], ANGLE_SIGMA)[:, 0]
 
 
 @reads("a CSV table")
@@ -396,18 +403,43 @@ def read_gyro(path: Path) -> tuple[Array, Array, Array, Array]:
             f"{path}: row {row + 1} ends at t_end = {end[row]:.9g}, not after t_start = {start[row]:.9g}; "
             "an increment needs a positive duration; are the two columns swapped?"
         )
-    return start, end, _matrix(table, ANGLES), _sigma(path, table)
+    return start, end, _matrix(table, ANGLES), sigma_columns(path, table, ["sigma"], ANGLE_SIGMA)[:, 0]
 
 
-def _sigma(path: Path, table: Mapping[str, list[str] | Array], unit: str = "") -> Array:
-    """The column sigma, in `unit` of messages; positive everywhere."""
-    sigma = _matrix(table, ["sigma"])[:, 0]
-    if np.any(sigma <= 0.0):
-        row = int(np.flatnonzero(sigma <= 0.0)[0])
-        raise FormatError(
-            f"{path}: row {row + 1}: sigma = {sigma[row]:.6g}{unit}; a 1-sigma error must be positive"
-        )
-    return sigma
+def sigma_columns(
+    path: Path, table: Mapping[str, Any], names: Sequence[str], bounds: Within, *, unknown: bool = False
+) -> Array:
+    """Columns of 1-sigma errors, (N, len(names)).
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    table : mapping
+        As read.
+    names : sequence of str
+    bounds : Within
+        What a TOML file may give of the kind.
+    unknown : bool
+        Whether inf, for what is not known, is allowed.
+
+    Raises
+    ------
+    FormatError
+        If one is not within the bounds.
+    """
+    sigma = _matrix(table, names)
+    allowed = (sigma >= bounds.least) & (sigma <= bounds.most)
+    bad = np.argwhere(~(allowed | (unknown & (sigma == np.inf)) | (bounds.zero & (sigma == 0.0))))
+    if not len(bad):
+        return sigma
+    row, column = (int(k) for k in bad[0])
+    value = sigma[row, column]
+    ranged = bounds.zero or value > 0.0
+    why = f" is not allowed: {bounds.words()}" if ranged else "; a 1-sigma error must be positive"
+    raise FormatError(
+        f"{path}: row {row + 1}: {names[column]} = {value:.6g}{why}{' (inf: not known)' if unknown else ''}"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -456,7 +488,8 @@ def read_control_points(path: Path, *, stereo: bool = False) -> ControlTable:
     if "point" in header:
         table = read_columns(path, (*CONTROL, "point"))
         position, number = _matrix(table, "xyz"), _matrix(table, ["point"])[:, 0]
-        return ControlTable(position, _sigma(path, table, " m"), number, [], np.empty((0, 2)), None)
+        sigma = sigma_columns(path, table, ["sigma"], LENGTH_SIGMA)[:, 0]
+        return ControlTable(position, sigma, number, [], np.empty((0, 2)), None)
     named, words = (("image",), ("image",)) if "image" in header else (("camera", "shot"), ("camera",))
     if not set(named) <= set(header):
         raise FormatError(
@@ -469,28 +502,15 @@ def read_control_points(path: Path, *, stereo: bool = False) -> ControlTable:
     images = [str(name) for name in table[words[0]]]
     if words == ("camera",):
         images = [f"{name}/{float(shot)!r}" for name, shot in zip(images, table["shot"], strict=True)]
-    sigma = _sigma(path, table, " m")
+    sigma = sigma_columns(path, table, ["sigma"], LENGTH_SIGMA)[:, 0]
     if _EACH[2] in own:
-        sigma = _matrix(table, [_EACH[2]])[:, 0]
+        sigma = sigma_columns(path, table, _EACH[2:], LENGTH_SIGMA)[:, 0]
     return ControlTable(
         _matrix(table, "xyz"), sigma, None, images, _matrix(table, ("line", "column")),
-        np.asarray(table["sigma_px"], dtype=np.float64) if "sigma_px" in own else None,
+        sigma_columns(path, table, ["sigma_px"], PIXEL_SIGMA)[:, 0] if "sigma_px" in own else None,
         _window_lines(path, table) if "lines" in own else None,
-        _each_px(path, table) if _EACH[0] in own else None,
+        sigma_columns(path, table, _EACH[:2], PIXEL_SIGMA) if _EACH[0] in own else None,
     )  # fmt: skip
-
-
-def _each_px(path: Path, table: Mapping[str, list[str] | Array]) -> Array:
-    """The columns sigma_line and sigma_column: positive everywhere, as sigma_ground is."""
-    sigma = _matrix(table, _EACH)
-    bad = np.flatnonzero((sigma <= 0.0).any(axis=1))
-    if bad.size:
-        row = int(bad[0])
-        values = ", ".join(f"{value:.6g}" for value in sigma[row])
-        raise FormatError(
-            f"{path}: row {row + 1}: {', '.join(_EACH)} = {values}; a 1-sigma error must be positive"
-        )
-    return sigma[:, :2]
 
 
 def _window_lines(path: Path, table: Mapping[str, list[str] | Array]) -> Array:

@@ -27,6 +27,7 @@ from sightline.io.formats.angle_tables import (
 )
 from sightline.io.formats.sbet import is_sbet
 from sightline.io.formats.tables import check_quaternions, header_of, read_columns
+from sightline.io.quantities import ANGLE_SIGMA
 from sightline.io.sequence.flown import flown_at_frames
 from sightline.io.sequence.frames import FrameList
 from sightline.io.sequence.matched_rows import GivenRows, in_time, matched, radii_of, sigmas_of
@@ -155,7 +156,7 @@ def _table_attitudes(
         attitude = level * body
     if not with_sigma:
         _say_assumed(file, warnings, len(t))
-    sigma = sigmas_of(path, table, with_sigma, len(t), file.attitude_sigma)
+    sigma = sigmas_of(path, table, with_sigma, len(t), file.attitude_sigma, ANGLE_SIGMA)
     return in_time(frame, t, attitude.as_quat(), sigma, np.ones(len(t), dtype=np.bool_))
 
 

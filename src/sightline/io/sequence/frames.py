@@ -29,7 +29,7 @@ FRAMES = ("frame", "t", "image")
 #: What a folder of frames may hold; further files in it are not looked at.
 SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2")
 _NAMED = "`frames` names a folder of photographs, or a table frame,t,image"
-#: s by which photographs may lie beside their event marks: EXIF has whole seconds, clocks drift.
+#: s by which frames may lie beside their event marks: EXIF has whole seconds, clocks drift.
 _CLOCK = 2.0
 #: s, and times the median step between frames, beyond which a pause may be one between two flights.
 PAUSE, PAUSE_STEPS = 60.0, 50.0
@@ -87,7 +87,7 @@ def with_events(frames: FrameList, file: SequenceFile, files: InputFolder) -> Fr
     Raises
     ------
     FormatError
-        If marks and frames are not as many, or the times of photographs do not go with them.
+        If marks and frames are not as many, or the frames' own times do not go with them.
     """
     if file.events is None:
         return frames
@@ -120,17 +120,18 @@ def with_events(frames: FrameList, file: SequenceFile, files: InputFolder) -> Fr
 
 
 def _check_marks(path: Path, frames: FrameList, t: Array) -> None:
-    """FormatError where the photographs' own times do not go with the marks but for a constant."""
-    if not frames.exif or len(t) < 2:
+    """FormatError where the frames' own times do not go with the marks but for a constant."""
+    if len(t) < 2:
         return
     late = frames.t - t
     late = np.abs(late - np.median(late))
     k = int(late.argmax())
     if late[k] > _CLOCK:
         raise FormatError(
-            f"{path}: the mark of {frames.names[k]} is {late[k]:.3g} s beside the time in its EXIF, the "
-            f"usual difference of the clocks taken off; {_CLOCK:g} s are allowed, as EXIF counts seconds: do "
-            "marks and photographs go one by one? Give a column `frame` with the name of each"
+            f"{path}: the mark of {frames.names[k]} is {late[k]:.3g} s beside its time in "
+            f"{'its EXIF' if frames.exif else frames.path.name}, the usual difference of the clocks "
+            f"taken off; {_CLOCK:g} s are allowed, as EXIF counts seconds: do marks and frames go one by "
+            "one? Give a column `frame` with the name of each"
         )
 
 

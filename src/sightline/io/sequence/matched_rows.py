@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84
+from sightline.io.formats.tables import sigma_columns
+from sightline.io.quantities import Within
 from sightline.io.sequence.frames import FrameList, refuse_repeated
 from sightline.io.sequence.schema import SequenceFile
 
@@ -127,18 +129,14 @@ def in_time(
 
 
 def sigmas_of(
-    path: Path, table: dict[str, list[str] | Array], names: list[str], count: int, default: float
+    path: Path,
+    table: dict[str, list[str] | Array],
+    names: list[str],
+    count: int,
+    default: float,
+    bounds: Within,
 ) -> Array:
-    """Sigmas (n, 3) of a table, positive; `default` where it has none."""
+    """Sigmas (n, 3) of a table, within the bounds of their kind; `default` where it has none."""
     if not names:
         return np.full((count, 3), default)
-    sigma = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
-    bad = np.argwhere(sigma <= 0.0)
-    if len(bad):
-        row, column = (int(k) for k in bad[0])
-        raise FormatError(
-            f"{path}: row {row + 1}: {names[column]} = {sigma[row, column]:g}; a 1-sigma error must "
-            "be positive "
-            "(inf: not known)"
-        )
-    return sigma
+    return sigma_columns(path, table, names, bounds, unknown=True)

@@ -21,6 +21,7 @@ from sightline.io.formats.odm import read_geo
 from sightline.io.formats.sbet import is_sbet
 from sightline.io.formats.tables import header_of
 from sightline.io.formats.xmp import Xmp
+from sightline.io.quantities import LENGTH_SIGMA
 from sightline.io.sequence.flown import flown_at_frames
 from sightline.io.sequence.frames import PAUSE, FrameList
 from sightline.io.sequence.matched_rows import GivenRows, in_time, is_local, matched, radii_of, sigmas_of
@@ -78,7 +79,7 @@ def _table_positions(
         kept = places(t, values, names, str(path), warnings)
     if not with_sigma:
         _say_assumed(file, warnings, np.flatnonzero(kept))
-    sigma = sigmas_of(path, table, with_sigma, len(t), file.position_sigma)
+    sigma = sigmas_of(path, table, with_sigma, len(t), file.position_sigma, LENGTH_SIGMA)
     position = points_to_world(values, file.world, file.surface.radii, path)
     return in_time(frame, t, position, sigma, kept, _sigma_axes(file, position))
 

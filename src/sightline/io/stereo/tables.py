@@ -24,7 +24,9 @@ from sightline.io.formats.tables import (
     read_columns,
     read_control_points,
     read_long_columns,
+    sigma_columns,
 )
+from sightline.io.quantities import PIXEL_SIGMA
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -315,13 +317,7 @@ def _sigma_px(path: Path, table: dict[str, Any], count: int, sigma_px: float | N
                 "coordinate of a point)"
             )
         return np.full(count, sigma_px)
-    sigma = np.asarray(table["sigma_px"], dtype=np.float64)
-    bad = np.flatnonzero(sigma <= 0.0)
-    if bad.size:
-        raise FormatError(
-            f"{path}: row {int(bad[0]) + 1}: sigma_px = {sigma[bad[0]]:g}; a 1-sigma error must be positive"
-        )
-    return sigma
+    return sigma_columns(path, table, ["sigma_px"], PIXEL_SIGMA)[:, 0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
 from sightline.io.acquisition.acquired import InputFolder, input_files
 from sightline.io.config import read_toml, validate
-from sightline.io.formats.tables import header_of, read_columns
+from sightline.io.formats.tables import header_of, read_columns, sigma_columns
 from sightline.io.tdi.columns import (
     COLUMNS,
     OPTICS,
@@ -33,7 +33,7 @@ from sightline.io.tdi.columns import (
     static_mtf,
 )
 from sightline.io.tdi.noise_table import NOISE, WELLS, read_noise_table, with_noise_table
-from sightline.io.tdi.schema import MOST_COLUMNS, ChoiceSection, TdiFile
+from sightline.io.tdi.schema import MOST_COLUMNS, SLIP_SIGMA, VELOCITY_SIGMA, ChoiceSection, TdiFile
 from sightline.result import set_source
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 from sightline.tdi.table import check_words_fit
@@ -204,9 +204,9 @@ def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:
             "with the clock), are expected; is the sign of the scan reversed, or the unit another?"
         )
     check_optics(path, table)
-    for name in SIGMAS:
-        if name in table and (table[name] < 0.0).any():
-            raise FormatError(f"{path}: {name} must be 0 or more")
+    for name, bounds in zip(SIGMAS, (VELOCITY_SIGMA, SLIP_SIGMA), strict=True):
+        if name in table:
+            sigma_columns(path, table, [name], bounds)
     mtf = np.tile(static, (len(column), 1))
     if OPTICS[0] in table:
         without = static / optics_of(file.mtf)

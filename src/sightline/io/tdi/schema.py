@@ -165,6 +165,11 @@ class NoiseSection(SchemaSection):
         return self
 
 
+#: Of scan velocities and slip angles, in files and in tables.
+VELOCITY_SIGMA = Within(1e-9, 1.0, "px per line period", zero=True)
+SLIP_SIGMA = Within(1e-9, 1.5, "rad", zero=True)
+
+
 class ColumnsSection(SchemaSection):
     """``[columns]``: how the scene moves past each column."""
 
@@ -180,10 +185,10 @@ class ColumnsSection(SchemaSection):
         default=None, description="An ACQUISITION.toml whose cameras give velocity and slip"
     )
     band: Name | None = Field(default=None, description="Its band (default: the first)")
-    sigma_velocity: Annotated[float, Within(1e-9, 1.0, "px per line period", zero=True)] = Field(
+    sigma_velocity: Annotated[float, VELOCITY_SIGMA] = Field(
         default=0.0, description="1-sigma of every velocity, px per line period"
     )
-    sigma_slip: Annotated[float, Within(1e-9, 1.5, "rad", zero=True)] = Field(
+    sigma_slip: Annotated[float, SLIP_SIGMA] = Field(
         default=0.0, description="1-sigma of every slip angle, rad"
     )
 
