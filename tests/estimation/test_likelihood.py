@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
 
 from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
 from sightline.estimation.likelihood import default_step, fit_spectrum
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import gain_of_chance, mean_variance_unseen
+from sightline.estimation.search import gain_of_chance, mean_variance_about, mean_variance_unseen
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, N = 1e-3, 1000
@@ -292,6 +293,52 @@ def test_a_tone_that_other_axes_have_is_as_large_as_goes_unseen(series) -> None:
     # threshold of ln(300 / 1e-3) = 12.6 asks for 5 of them, the broadband of 0.1 beside it for ten times that
     assert 0.0015 < tone.sigma < 0.05
     assert any(abs(t.frequency - 47.0) < 1.0 for t in known)
+
+
+def test_the_mean_variance_about_a_usual_size_is_that_of_sizes_drawn_so() -> None:
+    # sizes are half a Student t of four degrees of root mean square 1; data of 20 numbers of variance
+    # 1 + size^2 say the rest. Weighing 4e5 draws by their likelihood leaves some hundreds to count: 10 %.
+    rng = np.random.default_rng(5)
+    sizes = np.abs(rng.standard_t(4.0, 400_000)) / np.sqrt(2.0)
+    logs = np.linspace(np.log(0.02), np.log(30.0), 15)
+    for squares in (15.0, 60.0):
+
+        def deviance(size, squares=squares):
+            return 20.0 * np.log1p(size**2) + squares / (1.0 + size**2)
+
+        weight = np.exp(-0.5 * (deviance(sizes) - deviance(np.exp(logs)).min()))
+        drawn = float(sizes**2 @ weight / weight.sum())
+        assert mean_variance_about(1.0, logs, deviance(np.exp(logs))) == pytest.approx(drawn, rel=0.1)
+
+
+def drawn(spectrum: Spectrum, seed: int) -> np.ndarray:
+    covariance = toeplitz(spectrum.autocovariance(np.arange(N) * STEP))
+    covariance += 1e-10 * covariance[0, 0] * np.eye(N)
+    return np.linalg.cholesky(covariance) @ np.random.default_rng(seed).normal(size=N)
+
+
+def test_what_an_axis_does_not_show_is_about_as_large_as_on_the_others(motion: np.ndarray) -> None:
+    # noise of 0.5 hides jitter of 0.1 and shows the drift of 2
+    noisy = measured(drawn(Spectrum(TRUE.components[:2]), 2), 0.5)
+    by_itself = fit_spectrum(noisy, max_tones=0)
+    for size in (0.1, 0.01):
+        usual = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(size, 0.005), Tone(0.3, 47.0, 0.8)))
+        found = fit_spectrum(noisy, max_tones=0, start=by_itself.spectrum, usual=usual)
+        # the data do not tell 0.1 from nothing; a share of the belief goes beyond its own size
+        assert 0.5 * size < found.spectrum.components[1].sigma < 3.0 * size
+    # what is shown stays: jitter of 0.1 under noise of 0.01, said to be 30 times smaller elsewhere
+    shown = measured(motion, 0.01)
+    usual = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.003, 0.005), Tone(0.01, 47.0, 0.8)))
+    without, beside = (fit_spectrum(shown, max_tones=1, usual=one) for one in (None, usual))
+    assert beside.spectrum == without.spectrum
+
+
+def test_a_tone_as_found_is_as_large_as_in_the_motion() -> None:
+    # a steady tone of 0.3 rms; noise of 0.03 in 400 rows leaves its amplitude 1 %, the drift some more
+    tone = 0.3 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 47.0 * np.arange(N) * STEP)
+    found = fit_spectrum(measured(drawn(Spectrum(TRUE.components[:2]), 2) + tone, 0.03), max_tones=1)
+    assert found.as_found.tones[0].sigma == pytest.approx(0.3, rel=0.05)
+    assert found.as_found.components[:2] == found.spectrum.components[:2]
 
 
 def test_at_a_blind_frequency_a_known_tone_may_be_as_large_as_the_drift(motion) -> None:  # type: ignore[no-untyped-def]

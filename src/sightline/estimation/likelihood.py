@@ -51,6 +51,10 @@ class FittedSpectrum:
         away.
     significance : tuple of float
         Of each tone of `spectrum.tones`: log-likelihood gained by a sinusoid there, when it was found.
+    sizes : tuple of float
+        Of each tone, in the unit of the series: the standard deviation of the motion found there. The prior's
+        own is smaller as a rule: its width is believed to be about one over the length of the data, and what
+        keeps its phase longer needs less of such a process.
     hidden : tuple of Tone
         Wide ones, in the unit of the series: what is to be expected where TDI averages motion away. No
         estimate finds it.
@@ -63,8 +67,20 @@ class FittedSpectrum:
     deviance: float
     step: float
     significance: tuple[float, ...] = ()
+    sizes: tuple[float, ...] = ()
     hidden: tuple[Tone, ...] = ()
     through: tuple[float, ...] = ()
+
+    @property
+    def as_found(self) -> Spectrum:
+        """The spectrum with every tone no smaller than the motion found there."""
+        sizes = iter(self.sizes)
+        return Spectrum(
+            tuple(
+                replace(c, sigma=max(c.sigma, next(sizes))) if isinstance(c, Tone) else c
+                for c in self.spectrum.components
+            )
+        )
 
 
 def fit_spectrum(
@@ -89,6 +105,7 @@ def fit_spectrum(
     settled: float = SETTLED,
     near: bool = False,
     smoothness: bool = True,
+    usual: Spectrum | None = None,
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -145,6 +162,9 @@ def fit_spectrum(
         aliases of its tones only where a further tone is found.
     smoothness : bool
         Whether the broadband part may be smoother than it was to begin with.
+    usual : Spectrum, optional
+        Another axis of the same body. What the data do not show of the broadband part, and of tones that both
+        have, is as large as they leave it on average, beforehand about as large as there.
 
     Raises
     ------
@@ -206,7 +226,10 @@ def fit_spectrum(
     model = search.with_possible_tones(
         model, [*known, *(replace(one, sigma=one.sigma / unit) for one in possible)], false_alarm
     )
+    if usual is not None:
+        model = search.with_usual_sizes(model, usual.scaled(1.0 / unit))
     hidden, through = search.hidden_tones(model, elsewhere)
+    sizes = search.sizes_of_tones(model)
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
     return FittedSpectrum(
@@ -215,6 +238,7 @@ def fit_spectrum(
         search.deviance(model),
         grid.step,
         tuple(model.gains[k] for k in order),
+        tuple(sizes[k] * unit for k in order),
         tuple(replace(tone, sigma=tone.sigma * unit) for tone in hidden),
         through,
     )

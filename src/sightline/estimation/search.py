@@ -32,8 +32,10 @@ ALIAS_PENALTY = 8.0
 #: Half-width of the weak Gaussian belief about every log parameter: a factor of e^3 about its start.
 BELIEF = 3.0
 #: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
-#: shows, and one that is too narrow costs more than one that is too wide.
-BANDWIDTH_BELIEF = 1.2
+#: shows, and one that is too narrow costs more than one that is too wide. In short data no more than this
+#: share of the frequency, twice the damping of a structure: as wide as the data are short, every tone would
+#: bring jitter of all frequencies.
+BANDWIDTH_BELIEF, WIDEST = 1.2, 0.03
 #: The same of the corner of the broadband part where another axis of the same body shows it: a factor of 2.
 CORNER_BELIEF = 0.7
 #: Least bandwidth of a tone that another axis shows, in units of one over the length of the data: its
@@ -79,6 +81,13 @@ DRIFT_RIDGE = 10.0
 #: The likelihood is multiplied by so many powers of the drift's standard deviation: by its variance (see
 #: `Search.cost`).
 ADJUSTED = 2.0
+#: A part of a motion is shown where a size half as large again, and one as much smaller, raise the deviance
+#: by this much (Akaike's price of a parameter, twice); sizes are looked at so many to a factor of e.
+SHOWN_BY, SIZES = 4.0, 2.0
+#: The broadband part, among numbers of tones.
+BROADBAND = -1
+#: Steps of the logarithm of the noise's scale by which its best one is found beside a size.
+SCALE_STEP = 0.1
 #: Windows overlap where they are longer than so many times what lies between two rows.
 OVERLAPPING = 1.2
 #: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
@@ -278,7 +287,8 @@ class Search:
         pull = np.full(len(x), BELIEF**-2)
         centre = x.copy()
         pull[5:-1:3] = 0.0  # frequencies: bounded, not believed
-        pull[6:-1:3], centre[6:-1:3] = BANDWIDTH_BELIEF**-2, -math.log(self._length)
+        pull[6:-1:3] = BANDWIDTH_BELIEF**-2
+        centre[6:-1:3] = [math.log(self.narrow(tone.frequency)) for tone in model.tones]
         if self._corner is not None:
             pull[3] = CORNER_BELIEF**-2
             centre[3] = math.log(model.broadband.timescale * model.broadband.corner / self._corner)
@@ -555,9 +565,61 @@ class Search:
             model = model.with_tone(Tone(math.sqrt(variance), one.frequency, width), math.nan)
         return model
 
+    def with_usual_sizes(self, model: NoiseModel, usual: Spectrum) -> NoiseModel:
+        """The model with parts that the data do not show as large as they leave them on average.
+
+        Beforehand its broadband part, and every tone that `usual` has too, is about as large as there
+        (`mean_variance_about`). The most likely size of what lies below the noise is an accident: nothing, or
+        some of the noise.
+        """
+        there = NoiseModel.of(usual)
+        size = self._mean_size(model, BROADBAND, model.broadband.sigma, there.broadband.sigma)
+        if size is not None:
+            model = self._with_best_scale(_with_size(model, BROADBAND, size))[0]
+        for k, tone in enumerate(model.tones):
+            near = [t.sigma for t in there.tones if abs(t.frequency - tone.frequency) < 1.5 / self._length]
+            if near and model.gains[k] != math.inf:
+                size = self._mean_size(model, k, tone.sigma, max(near))
+                model = model if size is None else _with_size(model, k, size)
+        return model
+
+    def _mean_size(self, model: NoiseModel, part: int, fitted: float, usual: float) -> float | None:
+        """Root mean square size of a part, beforehand about as large as `usual`; None where it is shown."""
+
+        def deviance(size: float) -> float:
+            changed = _with_size(model, part, size)
+            return self._with_best_scale(changed)[1] if part == BROADBAND else self.deviance(changed)
+
+        least = self.deviance(model)
+        if all(deviance(fitted * more) > least + SHOWN_BY for more in (1.5, 1.0 / 1.5)):
+            return None
+        low, high = math.log(min(0.1 * usual, 0.3 * fitted)), math.log(max(10.0 * usual, 3.0 * fitted))
+        logs = np.linspace(low, high, math.ceil(SIZES * (high - low)) + 1)
+        return math.sqrt(mean_variance_about(usual, logs, np.array([deviance(math.exp(x)) for x in logs])))
+
+    def _with_best_scale(self, model: NoiseModel) -> tuple[NoiseModel, float]:
+        """The model with the best scale of the noise near its own, and the deviance of it."""
+        if not self._fit_noise:
+            return model, self.deviance(model)
+        steps = SCALE_STEP * np.array([-1.0, 0.0, 1.0])
+        at = [replace(model, noise_scale=model.noise_scale * math.exp(step)) for step in steps]
+        low, middle, high = (self.deviance(one) for one in at)
+        bend = low - 2.0 * middle + high
+        slope = 0.5 * (high - low)
+        best = float(np.clip(-slope / bend, -3.0, 3.0)) if bend > 0.0 else 0.0
+        scale = model.noise_scale * math.exp(SCALE_STEP * best)
+        return replace(model, noise_scale=scale), middle + slope * best + 0.5 * bend * best**2
+
+    def sizes_of_tones(self, model: NoiseModel) -> list[float]:
+        """Standard deviation of the estimated motion at the frequency of each tone."""
+        if not model.tones:
+            return []
+        now = self.posterior(model)
+        return [math.sqrt(_variance_at(now, tone.frequency)) for tone in model.tones]
+
     def narrow(self, frequency: float) -> float:
         """Bandwidth (Hz) that a tone is taken to have as long as nothing shows it."""
-        return min(1.0 / self._length, 0.1 * frequency)
+        return min(1.0 / self._length, WIDEST * frequency)
 
     def hidden_tones(
         self, model: NoiseModel, elsewhere: Sequence[float] = ()
@@ -775,6 +837,39 @@ def mean_variance_unseen(gain: float, largest: float, usual: float = math.inf) -
     variance = largest * amplitude**2
     weight = np.exp(-gain / (1.0 + variance) - 0.5 * variance / usual) / (1.0 + variance)
     return float(variance @ weight / weight.sum())
+
+
+def mean_variance_about(usual: float, logs: Array, deviance: Array) -> float:
+    """Mean variance of a part of a motion, by the `deviance` (N,) of the sizes exp(`logs`).
+
+    Beforehand sizes are half of a Student t of four degrees, whose mean variance is that of `usual`: about as
+    large, or, seldom, many times.
+
+    Parameters
+    ----------
+    usual : float
+        Standard deviation.
+    logs : (N,)
+        Logarithms of standard deviations, evenly spaced, over all that may be.
+    deviance : (N,)
+        -2 log likelihood.
+    """
+    from scipy.interpolate import CubicSpline
+
+    fine = np.linspace(logs[0], logs[-1], 16 * len(logs))
+    size = np.exp(fine)
+    density = (1.0 + 0.5 * (size / usual) ** 2) ** -2.5 * size
+    weight = density * np.exp(-0.5 * (CubicSpline(logs, deviance)(fine) - deviance.min()))
+    return float(size**2 @ weight / weight.sum())
+
+
+def _with_size(model: NoiseModel, part: int, sigma: float) -> NoiseModel:
+    """A model whose broadband part, or tone number `part`, has another standard deviation."""
+    if part == BROADBAND:
+        return replace(model, broadband=replace(model.broadband, sigma=sigma))
+    tones = list(model.tones)
+    tones[part] = replace(tones[part], sigma=sigma)
+    return replace(model, tones=tuple(tones))
 
 
 def _combined(modes: Array, f: Array, apart: float) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 UNSEEN = 100.0
 
 #: The angle that is seen along the lines.
-PITCH = 1
+PITCH, YAW = 1, 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from sightline.estimation.search import SETTLED
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
-from sightline.motion.estimators.differences import PITCH, AngleDifferences
+from sightline.motion.estimators.differences import PITCH, YAW, AngleDifferences
 from sightline.motion.measure.observations import Star
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.normal_equations import TimeGrid
@@ -89,7 +89,7 @@ class PriorModel:
         size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
         return np.asarray(correlation * np.outer(size, size))
 
-    def with_turns(self, length: float) -> PriorModel:
+    def with_turns(self, length: float, *, drift_alone: bool = False) -> PriorModel:
         """The model with a motion about the line of sight no smaller than that across it (rad).
 
         A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
@@ -101,12 +101,20 @@ class PriorModel:
         ----------
         length : float
             s; of the strip.
+        drift_alone : bool
+            Whether the other parts hold what the field leaves open already.
         """
         bends = [_drift(s).bend(length) for s in self.spectra]
         across = self.spectra[int(np.argmax(bends[:2]))]
         if bends[2] >= max(bends[:2]):
             return self
-        return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across, length)))
+        yaw = self.spectra[2]
+        if drift_alone:
+            others = tuple(c for c in yaw.components if c is not _drift(yaw))
+            turns = Spectrum((_drift(across), *others))
+        else:
+            turns = _larger_parts(yaw, across, length)
+        return replace(self, spectra=(*self.spectra[:2], turns))
 
     def beside_relief(self, length: float) -> PriorModel:
         """The model with a drift of pitch no smaller than that of roll (rad); `length` (s) of the strip.
@@ -424,6 +432,7 @@ def fit_prior_model(
         possible: Sequence[Tone] = (),
         corner: float | None = None,
         elsewhere: Sequence[float] = (),
+        usual: Spectrum | None = None,
     ) -> FittedSpectrum:
         series = [d.of_axis(axis) for d in differences]
         if jumps:
@@ -444,6 +453,7 @@ def fit_prior_model(
             settled=settled,
             near=near or begin is not None,
             smoothness=smoothness and begin is None,
+            usual=usual,
         )
 
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
@@ -452,11 +462,17 @@ def fit_prior_model(
     missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
     corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
 
+    # rows do not show the turn about the line of sight: it is about as large as the angles across it
+    across = None
+    if corners[YAW] is not None:
+        across = _larger_parts(first[0].as_found, first[PITCH].as_found, length)
+
     def shared(axis: int) -> FittedSpectrum:
         through = () if first[axis].through else [f for one in first for f in one.through]
         if not missing[axis] and corners[axis] is None and not through:
             return first[axis]
-        return fitted(axis, spectra[axis], missing[axis], corners[axis], through)
+        usual = across if axis == YAW else None
+        return fitted(axis, spectra[axis], missing[axis], corners[axis], through, usual)
 
     roll, pitch, yaw = in_threads(shared, range(3), step=lambda done, _: step(3 + done, 6))
     own = _own_share(differences)
@@ -469,7 +485,7 @@ def fit_prior_model(
         (scales[0], scales[1], scales[2]),
         (roll.hidden, pitch.hidden, yaw.hidden),
     )
-    return model.with_turns(length)
+    return model.with_turns(length, drift_alone=across is not None)
 
 
 def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[Tone]:
