@@ -85,6 +85,7 @@ EQUIVALENT = {
     "back = [mount.T @ _TURNS @ mount for mount in mounts]": "of each error only the square counts",
     "scale = 1.01 * distance[:, -1:] - 1e-9": "what keeps a distance of nothing from being divided by",
     "loose = 2.5 * plan.pointing_error * partner.detector.focal_length_px / k": "a margin of a search",
+    "key = (end + begin, share, columns.tobytes())": "as different where columns are, or their number, is",
     "peak[k, axis] += np.clip(0.625 * (low - high) / bend, -0.5, 0.5)": "a start of steps",
 }
 

@@ -56,10 +56,9 @@ def _pulled(now):  # type: ignore[no-untyped-def]
     return band_times(now.prior_band, now.mean)
 
 
-def hidden(size: float, seed: int, frequency: float = 121.0) -> tuple[Tone, ...]:
-    """Of rows through TDI of 8 ms, in the unit of the motion; a tone of 121 Hz leaves .033 of itself."""
+def through_tdi(tones, seed: int, lags=(0.0055, 0.0172, 0.0225), known=SEEN):  # type: ignore[no-untyped-def]
+    """A search, and a model of `known`, of rows of tones (size, Hz) through TDI of 8 ms; units of the motion."""
     rng = np.random.default_rng(seed)
-    tones = (*SEEN, (size, frequency))
     phase = rng.uniform(0.0, 2.0 * np.pi, len(tones))
 
     def averaged(t: np.ndarray) -> np.ndarray:
@@ -70,19 +69,39 @@ def hidden(size: float, seed: int, frequency: float = 121.0) -> tuple[Tone, ...]
         return np.asarray(sum(waves))
 
     series = []
-    for lag in (0.0055, 0.0172, 0.0225):
+    for lag in lags:
         t = np.arange(0.01, STEP * COUNT - 0.05, 0.0025)
         values = averaged(t + lag) - averaged(t) + SIGMA * rng.normal(size=len(t))
         series.append(
             DifferenceSeries(t, np.full(len(t), lag), values, np.full(len(t), SIGMA**2), tdi=(TDI, TDI))
         )
-    known = Spectrum(
-        (Matern(0.1, 1.0, "5/2"), Matern(1e-3, 0.01, "3/2"), *(Tone(s, f, 1.0) for s, f in SEEN))
-    )
-    finder, model = search(series, known, tdi=(TDI,))
+    parts = (Matern(0.1, 1.0, "5/2"), Matern(1e-3, 0.01, "3/2"))
+    return search(series, Spectrum((*parts, *(Tone(s, f, 1.0) for s, f in known))), tdi=(TDI,))
+
+
+def hidden(size: float, seed: int, frequency: float = 121.0) -> tuple[Tone, ...]:
+    """What is expected, in the unit of the motion; of a tone of 121 Hz .033 is left."""
+    finder, model = through_tdi((*SEEN, (size, frequency)), seed)
     return tuple(
         Tone(tone.sigma * SIGMA, tone.frequency, tone.bandwidth) for tone in finder.hidden_tones(model)[0]
     )
+
+
+def test_a_mode_that_shines_through_is_not_put_at_its_alias() -> None:
+    # lags of whole rows: 121 Hz and 400 - 121 Hz are one sinusoid, but a mode is rarer and smaller there;
+    # of 121.3 Hz the alias is nearer to one of the places that are looked at, .625 Hz apart
+    for seed in range(4):
+        finder, model = through_tdi((*SEEN, (0.12, 121.3)), seed, (0.005, 0.0175, 0.0225))
+        _, through = finder.hidden_tones(model)
+        assert through == (pytest.approx(121.3, abs=0.7),)
+
+
+@pytest.mark.parametrize(("mode", "of_157", "left"), [(0.2, 0.01, 2), (0.0, 0.2, 3)])
+def test_of_a_hidden_mode_and_its_product_the_one_that_stands_out_stays(mode, of_157, left) -> None:  # type: ignore[no-untyped-def]
+    # 157 = 121 + 83 - 47 Hz, of which .18 is left: with a mode of 121 Hz it is one of its products
+    tones = (*SEEN, (mode, 121.0), (of_157, 157.0))
+    finder, model = through_tdi(tones, 1, known=(*SEEN, (of_157, 157.0)))
+    assert len(finder.without_products(model).tones) == left
 
 
 @pytest.mark.parametrize("size", [0.05, 0.08, 0.16])

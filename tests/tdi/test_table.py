@@ -8,6 +8,7 @@ import pytest
 from sightline.errors import InputError
 from sightline.imaging.tdi_noise import snr
 from sightline.imaging.tdi_transfer import drift_transfer
+from sightline.tdi import table_build
 from sightline.tdi.choose import choose_settings, merit_of
 from sightline.tdi.setting import TdiGrid
 from sightline.tdi.table_build import build_table
@@ -263,3 +264,34 @@ def _along_columns(choice, table, signals):
     words = table.lookup(np.repeat(signals[:, None], table.columns, axis=1))
     row = np.searchsorted(choice.grid.stages, table.unpack(words)[0])
     return np.count_nonzero(np.diff(words, axis=1)), int(np.abs(np.diff(row, axis=1)).max())
+
+
+def test_words_that_may_not_change_far_are_still_the_fairest():
+    # of one column nothing changes from group to group: each word is the one whose worst loss is least, to
+    # the thousandth in which losses are counted
+    model, choice = field(1)
+    signals = np.geomspace(1.0, 8000.0, 200)
+    tables = [build_table(model, choice, 0.05, largest_step=step)[0] for step in (None, 90)]
+    free, bound = (searched(choice, table, np.arange(1), signals)[0].mean() for table in tables)
+    assert free > 0.002 and bound <= free + 0.001
+
+
+def test_room_is_left_in_the_columns_in_which_the_bound_broke(monkeypatch):
+    broken, tightened = [], []
+
+    def certify(*given, whole=table_build.certify):
+        certificate, failed = whole(*given)
+        broken.append(failed[0])
+        return certificate, failed
+
+    def tighten(self, failed, whole=table_build._Builder.tighten):
+        tightened.append(failed)
+        whole(self, failed)
+
+    monkeypatch.setattr(table_build, "SAMPLES", 2)
+    monkeypatch.setattr(table_build, "certify", certify)
+    monkeypatch.setattr(table_build._Builder, "tighten", tighten)
+    _, certificate = build_table(*field(200), 0.3)
+    assert certificate.holds and len(tightened) == len(broken) - 1 > 0
+    for columns, failed in zip(broken, tightened, strict=False):
+        assert len(columns) and np.array_equal(columns, failed)

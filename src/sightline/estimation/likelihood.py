@@ -221,7 +221,8 @@ def fit_spectrum(
         model = search.with_smoothness(model)
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
-    model = search.improve(search.without_idle_tones(model), iterations, settled)
+    model = search.without_products(search.without_idle_tones(model))
+    model = search.improve(model, iterations, settled)
     known = [Tone(model.drift.sigma, f, search.narrow(f)) for f in known_tones]
     model = search.with_possible_tones(
         model, [*known, *(replace(one, sigma=one.sigma / unit) for one in possible)], false_alarm

@@ -56,6 +56,10 @@ SEEN_THROUGH = 0.8
 #: mean over the stages but for some thousandths of a pixel, which would pass for a tone many times as large
 #: (see `Search.hidden_tones`).
 LEFT_BY_TDI = 0.15
+#: Share from which on a tone is sure not to be what a hidden one displaces matches by.
+SEEN_PLAINLY = 0.25
+#: Places whose gain is looked at more closely.
+CREST = 8
 #: What TDI may hide is looked at up to this over the shortest time that it averages over, at no more places;
 #: least share that the rows are taken to have of it.
 HIDDEN_TO, MOST_HIDDEN, LEAST_LEFT = 4.0, 600, 5e-3
@@ -664,23 +668,55 @@ class Search:
         strong = modes[strengths > COUNTS * strength]
         last = float(strong.max())
         density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
-        gain, information = np.zeros(len(f)), np.zeros(len(f))
+        gain, information, exact = np.zeros(len(f)), np.zeros(len(f)), f.copy()
         within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes.tolist())
-        u = now.score
         for part in np.array_split(np.flatnonzero(within), max(int(within.sum()) // CANDIDATES, 1)):
-            gain[part], _, information[part] = self._exact_gain(now, u, f[part])
-        information *= (self._shown(f, modes, sizes) / np.maximum(left, LEAST_LEFT)) ** 2
-        mixed = _combined(strong, f, 1.0 / self._length)
-        certain = gain_of_chance(top * self._length, HARDLY_CHANCE)
-        strongest = int(np.argmax(np.where(mixed, 0.0, gain)))
-        through = (float(f[strongest]),) if gain[strongest] > certain and not mixed[strongest] else ()
-        mixed |= _combined(np.append(strong, through), f, 1.0 / self._length)
-        gain[mixed] = information[mixed] = 0.0
+            gain[part], _, information[part] = self._exact_gain(now, now.score, f[part])
+        # a sinusoid half a step beside is seen by a fifth less: too much to tell it from an alias
+        for k in np.argsort(-gain)[:CREST]:
+            near = f[k] + cell * stride * np.linspace(-0.5, 0.5, 9)
+            gains, _, informations = self._exact_gain(now, now.score, near)
+            best = int(np.argmax(gains))
+            gain[k], information[k], exact[k] = gains[best], informations[best], near[best]
+        modelled = np.maximum(left_by_tdi(exact, self._tdi), LEAST_LEFT)
+        information *= (self._shown(exact, modes, sizes) / modelled) ** 2
         number = density * cell * stride
+        # what shows at one frequency shows at its aliases, though a mode there would be smaller and rarer
+        plain = strong[left_by_tdi(strong, self._tdi) >= SEEN_PLAINLY]
+        mixed = _combined(plain, f, 1.0 / self._length)
+        _, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
+        strongest = int(np.argmax(np.where(mixed | ~within, -math.inf, likely)))
+        certain = gain[strongest] > gain_of_chance(top * self._length, HARDLY_CHANCE)
+        through = (float(exact[strongest]),) if certain and not mixed[strongest] else ()
+        mixed |= _combined(np.append(plain if through else strong, through), f, 1.0 / self._length)
+        gain[mixed] = information[mixed] = 0.0
         for place in elsewhere:
             number[int(np.argmin(np.abs(f - place)))] = 1.0
-        expected = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
+        expected, _ = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
         return _wide_tones(f, hidden, expected, 1.0 / self._length), through
+
+    def without_products(self, model: NoiseModel) -> NoiseModel:
+        """The model less tones that are products of a mode that TDI hides and others that it does not.
+
+        Beside other modes a hidden one displaces matches at sums and differences of all. What is taken off of
+        that (`motion.measure.uneven_blur`) holds only the motion that is known; where TDI leaves little, the
+        rest would pass for a tone many times as large. Of the two, that is the mode whose gain is larger.
+        """
+        _, through = self.hidden_tones(model)
+        if not through:
+            return model
+        modes = np.array([tone.frequency for tone in model.tones])
+        left = left_by_tdi(modes, self._tdi)
+        plain = np.append(modes[left >= SEEN_PLAINLY], through)
+        for k in np.flatnonzero((left < SEEN_PLAINLY) & _combined(plain, modes, 1.0 / self._length))[::-1]:
+            if model.gains[k] == math.inf:
+                continue
+            fewer = model.without_tone(int(k))
+            now = self.posterior(fewer)
+            gain, _, _ = self._exact_gain(now, now.score, np.array([modes[k], *through]))
+            if gain[0] < gain[1]:
+                model = fewer
+        return model
 
     def _shown(self, f: Array, modes: Array, sizes: Array) -> Array:
         """Share of a tone at `f` (Hz) that matches show beside modes of a variance of `sizes`.
@@ -878,26 +914,32 @@ def _combined(modes: Array, f: Array, apart: float) -> NDArray[np.bool_]:
     two = (signed[:, None] + signed).ravel()
     three = (two[:, None] + signed).ravel()
     products = np.unique(np.abs(np.concatenate([two, three])))
-    products = products[np.abs(products[:, None] - modes).min(axis=1) > 2.0 * apart]
+    products = products[np.abs(products[:, None] - modes).min(axis=1, initial=math.inf) > 2.0 * apart]
     if not len(products):
         return np.zeros(len(f), dtype=bool)
     return np.asarray(np.abs(f[:, None] - products).min(axis=1) < apart)
 
 
-def _mean_hidden(mean: Array, count: Array, gain: Array, per_variance: Array) -> Array:
+def _mean_hidden(mean: Array, count: Array, gain: Array, per_variance: Array) -> tuple[Array, Array]:
     """Mean variance at frequencies half the resolution apart, of tones of which `count` lie at each.
 
-    Beforehand the variance v of a tone is exponential of a `mean`; a gain is exponential of mean 1 + v times
-    `per_variance`: that of a tone whose phase is drawn, and as wide as what is known of the share that is
-    seen. What one tone shows at its neighbours is not another.
+    And the logarithm of how likely one lies there, beside none. Beforehand the variance v of a tone is
+    exponential of a `mean`; a gain is exponential of mean 1 + v times `per_variance`: that of a tone whose
+    phase is drawn, and as wide as what is known of the share that is seen. What one tone shows at its
+    neighbours is not another.
     """
     share = (np.arange(200) + 0.5) / 20.0  # of the mean
     variance = mean[:, None] * share
     seen = 1.0 + per_variance[:, None] * variance
     log_weight = gain[:, None] * (1.0 - 1.0 / seen) - np.log(seen) - share
-    weight = count[:, None] / 20.0 * np.exp(np.minimum(log_weight, 200.0))
+    with np.errstate(divide="ignore"):
+        log_weight += np.log(count / 20.0)[:, None]
+    top = max(float(log_weight.max(initial=0.0)), 0.0)
+    weight = np.exp(log_weight - top)
     around = np.convolve(weight.sum(axis=1), np.ones(5), "same")
-    return np.asarray((weight * variance).sum(axis=1) / (1.0 + around))
+    most = log_weight.max(axis=1)
+    likely = most + np.log(np.exp(log_weight - most[:, None]).sum(axis=1))
+    return np.asarray((weight * variance).sum(axis=1) / (math.exp(-top) + around)), likely
 
 
 def _wide_tones(f: Array, hidden: NDArray[np.bool_], variance: Array, narrow: float) -> tuple[Tone, ...]:
