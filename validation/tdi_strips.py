@@ -1,9 +1,9 @@
-"""Strips of TDI, imaged stage by stage: is what comes back the motion itself, and does sigma own what is hidden?
+"""Strips of TDI, imaged stage by stage: what comes back is the motion itself, and sigma owns what is hidden.
 
     python validation/tdi_strips.py                        four settings of the stages, five seeds each
     python validation/tdi_strips.py --stages 16 --seeds 7
 
-The nominal motion (tones of 47, 83 and 121 Hz) at SNR 120, strips of 1200 x 320 pixels; 8, 16 or 32 stages
+The nominal motion (tones of 47, 83 and 121 Hz) at SNR 120, strips of 1000 x 256 pixels; 8, 16 or 32 stages
 everywhere, or 16/32/16 across the field, timed by the first stage. Rms error per axis in px (yaw: at the
 field's edge) after the hidden directions are fitted away, NEES, windows kept. 16 stages leave .03 of 121 Hz
 and 32 as little: there the error is that tone itself, of .08 px rms, and NEES says whether its size is owned.
@@ -28,7 +28,7 @@ from sightline.motion.results import LineOfSight
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
 Array = NDArray[np.float64]
-LINES, COLUMNS = 1200, 320
+LINES, COLUMNS = 1000, 256
 CASES = {"8": (8,), "16": (16,), "32": (32,), "16/32/16": (16, 32, 16)}
 TONE = 47.0
 

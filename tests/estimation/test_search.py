@@ -57,7 +57,7 @@ def _pulled(now):  # type: ignore[no-untyped-def]
 
 
 def through_tdi(tones, seed: int, lags=(0.0055, 0.0172, 0.0225), known=SEEN):  # type: ignore[no-untyped-def]
-    """A search, and a model of `known`, of rows of tones (size, Hz) through TDI of 8 ms; units of the motion."""
+    """A search, and a model of `known`, of rows of tones (size, Hz) through TDI of 8 ms."""
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0.0, 2.0 * np.pi, len(tones))
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.errors import InputError
-from sightline.tdi.table import BEYOND, TdiTable
+from sightline.errors import FormatError, InputError
+from sightline.tdi.table import BEYOND, HEADER, TdiTable
 
 
 def table(cells: int = 3, groups: int = 7, shift: int = 0, seed: int = 0) -> TdiTable:
@@ -155,3 +155,9 @@ def test_the_image_comes_back_the_same():
             np.testing.assert_array_equal(getattr(back, name), getattr(given, name))
         assert (back.signals, back.shift, back.certified_loss) == (given.signals, given.shift, 0.004)
         assert (back.signal_ratio, back.head_stages) == (given.signal_ratio, given.head_stages)
+
+
+@pytest.mark.parametrize("length", [0, 4, HEADER.size - 1, HEADER.size, HEADER.size + 3])
+def test_an_image_cut_in_its_head_is_none(length):
+    with pytest.raises(FormatError, match="is not a TDI table's memory image"):
+        TdiTable.from_bytes(table().to_bytes()[:length])

@@ -683,15 +683,15 @@ class Search:
         number = density * cell * stride
         # what shows at one frequency shows at its aliases, though a mode there would be smaller and rarer
         plain = strong[left_by_tdi(strong, self._tdi) >= SEEN_PLAINLY]
-        mixed = _combined(plain, f, 1.0 / self._length)
+        mixed = _combined(plain, exact, 1.0 / self._length)
         _, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
         strongest = int(np.argmax(np.where(mixed | ~within, -math.inf, likely)))
         certain = gain[strongest] > gain_of_chance(top * self._length, HARDLY_CHANCE)
         through = (float(exact[strongest]),) if certain and not mixed[strongest] else ()
-        mixed |= _combined(np.append(plain if through else strong, through), f, 1.0 / self._length)
+        mixed |= _combined(np.append(plain if through else strong, through), exact, 1.0 / self._length)
         gain[mixed] = information[mixed] = 0.0
         for place in elsewhere:
-            number[int(np.argmin(np.abs(f - place)))] = 1.0
+            number[int(np.argmin(np.abs(exact - place)))] = 1.0
         expected, _ = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
         return _wide_tones(f, hidden, expected, 1.0 / self._length), through
 

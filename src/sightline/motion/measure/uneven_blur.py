@@ -42,6 +42,8 @@ _MOST = 0.999
 #: Motion of which the stages leave this share is taken whole, less of what they leave less of (LEFT_BY_TDI:
 #: nothing); shorter ones as they are.
 _WHOLE, _FEWEST = 0.25, 16
+#: Steps to the shift that fits: beside a motion of half a pixel the first is a fifth too short.
+ROUNDS = 3
 #: Windows that one thread takes at a time.
 _AT_ONCE = 2048
 
@@ -214,20 +216,26 @@ def _shown(moved, count, y, x, slopes):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _shifts(hub, hub_counts, partner, partner_counts, frequency, weight, slopes, out):  # type: ignore[no-untyped-def]
     """Shift that fits the phases of two means of phase factors best, into `out` (N, 2)."""
+    re, im = np.empty(len(weight)), np.empty(len(weight))
     for n in range(len(out)):
-        a11, a12, a22, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(len(weight)):
             y, x = frequency[k, 0], frequency[k, 1]
             re_h, im_h = _shown(hub[n], hub_counts[n], y, x, slopes[0, k])
             re_p, im_p = _shown(partner[n], partner_counts[n], y, x, slopes[1, k])
-            re, im = re_p * re_h + im_p * im_h, im_p * re_h - re_p * im_h
-            w = weight[k] * math.sqrt(re * re + im * im)
-            a11 += w * y * y
-            a12 += w * y * x
-            a22 += w * x * x
-            b1 += weight[k] * y * im
-            b2 += weight[k] * x * im
-        det = a11 * a22 - a12 * a12
-        if det > 0.0:
-            out[n, 0] = (a22 * b1 - a12 * b2) / det
-            out[n, 1] = (a11 * b2 - a12 * b1) / det
+            re[k], im[k] = re_p * re_h + im_p * im_h, im_p * re_h - re_p * im_h
+        for _ in range(ROUNDS):
+            a11, a12, a22, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(len(weight)):
+                y, x = frequency[k, 0], frequency[k, 1]
+                phase = y * out[n, 0] + x * out[n, 1]
+                left = weight[k] * (im[k] * math.cos(phase) - re[k] * math.sin(phase))
+                w = weight[k] * math.hypot(re[k], im[k])
+                a11 += w * y * y
+                a12 += w * y * x
+                a22 += w * x * x
+                b1 += left * y
+                b2 += left * x
+            det = a11 * a22 - a12 * a12
+            if det > 0.0:
+                out[n, 0] += (a22 * b1 - a12 * b2) / det
+                out[n, 1] += (a11 * b2 - a12 * b1) / det
