@@ -24,6 +24,7 @@ from scipy.stats import chi2
 from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
+from sightline.geometry.trajectory import Motion
 from sightline.motion.results import LineOfSight
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
@@ -42,8 +43,8 @@ def strip(stages: tuple[int, ...], seed: int) -> StripScenario:
 def tone_square(result: LineOfSight, truth: Array) -> float:
     """Squared error of cosine and sine of a tone, all axes, in units of their covariance: chi-square of 6."""
     t = result.motion.t
-    known = np.stack([np.interp(t, truth[:, 0], truth[:, 1 + axis]) for axis in range(3)], axis=1)
     inside = (t >= truth[0, 0]) & (t <= truth[-1, 0])
+    known = Motion(truth[:, 0], truth[:, 1:]).at(np.clip(t, truth[0, 0], truth[-1, 0]))
     tau = (t - truth[0, 0]) / np.ptp(truth[:, 0])
     window = np.where(inside, np.sin(np.pi * tau) ** 2, 0.0)
     waves = window[:, None] * np.stack([f(2.0 * np.pi * TONE * t) for f in (np.cos, np.sin)], axis=1)
