@@ -12,7 +12,7 @@ from tests.photogrammetry.stereo_scene import ARCSEC, TRUTH, Noise, Plan, ground
 
 from consistency import assert_consistent, assert_possible
 from sightline.applications.stereo_orientation import METHODS, orient, orient_pushbroom
-from sightline.errors import InputError, SightlineError
+from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import AreaDetector, LineDetector
 from sightline.geometry.pointing import FixedMount
@@ -124,6 +124,25 @@ def test_a_focal_length_that_is_not_observable_is_flagged():
     tied = orient(replace(given, focal_sigma=(1e-3, 1e-3), control=points))
     assert not any("not observable" in text for text in tied.warnings)
     assert (tied.stretch_sigma < 0.5 * found.stretch_sigma).all()
+
+
+def test_wrong_control_points_are_weighed_down_and_named():
+    given, points = problem(6)
+    rng = np.random.default_rng(6)
+    place = points[:12] + rng.standard_normal((12, 3))
+    good = orient(replace(given, control=ControlPoints(np.arange(12), place, np.array(1.0))))
+    assert good.warnings == ()
+    wrong = place.copy()
+    wrong[:4] += rng.choice([-1.0, 1.0], (4, 3)) * 30.0
+    found = orient(replace(given, control=ControlPoints(np.arange(12), wrong, np.array(1.0))))
+    assert len(found.warnings) == 4
+    assert all(f"control point {k} at (" in said for k, said in enumerate(found.warnings))
+    # a third of them less: the angles differ by chance of what these gave, sqrt(1.5 - 1) of a sigma
+    assert (np.abs(found.angles - good.angles) < 3.0 * np.sqrt(0.5) * good.sigma).all()
+    # of two halves that contradict each other nothing shows which is right
+    wrong[:8] = place[:8] + rng.uniform(-300.0, 300.0, (8, 3))
+    with pytest.raises(EstimationError, match=r"of 12 control points do not go with the others"):
+        orient(replace(given, control=ControlPoints(np.arange(12), wrong, np.array(1.0))))
 
 
 def test_ml_pair_says_that_it_counts_known_heights_again_in_every_shot():

@@ -135,3 +135,12 @@ def test_places_within_an_image_and_the_middle_of_some():
     assert within(places, (10, 20), -0.5).tolist() == [True, True, True, False, True]
     assert lattice_points((3, 9), 5).tolist()[:6] == [[0, 0], [0, 2], [0, 4], [0, 6], [0, 8], [1, 0]]
     assert middle_of(places[[0, 1, 4]]).tolist() == [[5.0, 18.5]]
+
+
+def test_a_map_that_is_flat_finds_nothing(pairs):
+    # all that a line shows falls in one pixel: there is no way back
+    pair = PairOnGeometry(pairs[0].hub, pairs[0].partner, lambda p, height=0.0, /: p * [1.0, 0.0] + 90.0)
+    points = grid_points((SIZE, SIZE), window=WINDOW)[:4]
+    for laid in (None, pair.laid()):
+        found = pair.found(points, at=points, window=WINDOW, whitening=None, laid=laid)
+        assert not found.matches.kept.any()

@@ -18,8 +18,9 @@ from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.block.bundle import Adjustment, adjust, bound, load_kernels
+from sightline.photogrammetry.block.control_weights import AdjustedPlaces, weighed_control
 from sightline.photogrammetry.block.observability import Observability, observability
-from sightline.photogrammetry.block.point_priors import PointPriors, level_axes
+from sightline.photogrammetry.block.point_priors import ControlPoints, PointPriors, level_axes
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.epipolar import epipolar_outliers, noise_ratios, orient_by_epipolar
 from sightline.photogrammetry.pair.pairs import PairOrientation, SightingPairs, pair_sightings
@@ -141,7 +142,7 @@ def orient(
     drift : bool
         ml: angles drift evenly with time.
     robust : bool
-        Find gross mismatches and leave them out.
+        Find gross mismatches and leave them out; weigh down control points that do not go with the others.
 
     Returns
     -------
@@ -169,15 +170,24 @@ def orient(
             "ml-pair needs shots in which two cameras or more see the same points; no shot has them: use "
             "ml-track"
         )
-    return _result(
-        method,
-        problem.cameras,
-        sightings,
-        _adjusted(problem, sightings, pairs_only=pairs_only, drift=drift, robust=robust),
-        problem.noise,
-        problem.priors,
-        problem.focal_sigma,
+    words: tuple[str, ...] = ()
+    adjustment = _adjusted(problem, sightings, pairs_only=pairs_only, drift=drift, robust=robust)
+    if problem.control is not None and robust:
+
+        def places(control: ControlPoints) -> AdjustedPlaces:
+            given = replace(problem, control=control)
+            found = _adjusted(given, sightings, pairs_only=False, drift=False, robust=True)
+            return _places(sightings, found, problem.noise, tracked=True)
+
+        first = _places(sightings, adjustment, problem.noise, tracked=not pairs_only)
+        control, words = weighed_control(sightings, problem.control, problem.point_names, first, places)
+        if words:
+            problem = replace(problem, control=control)
+            adjustment = _adjusted(problem, sightings, pairs_only=pairs_only, drift=drift, robust=robust)
+    found = _result(
+        method, problem.cameras, sightings, adjustment, problem.noise, problem.priors, problem.focal_sigma
     )
+    return replace(found, warnings=(*words, *found.warnings))
 
 
 def _adjusted(
@@ -223,6 +233,7 @@ def orient_pushbroom(
     names: Sequence[str] | None = None,
     priors: PointPriors | None = None,
     robust: bool = True,
+    point_names: Array | None = None,
 ) -> StereoOrientation:
     """Constant attitude errors of pushbroom cameras whose images show the same ground.
 
@@ -239,7 +250,9 @@ def orient_pushbroom(
     priors : PointPriors, optional
         Known heights or control points; without these two images alone leave their common turns weak.
     robust : bool
-        Find gross mismatches and leave them out.
+        Find gross mismatches and leave them out; weigh down control points that do not go with the others.
+    point_names : (n,), optional
+        Numbers by which points are named; 1, 2, ... otherwise.
 
     Returns
     -------
@@ -247,8 +260,22 @@ def orient_pushbroom(
     """
     sightings = sight_pushbroom(cameras, tracks)
     labels = tuple(names) if names is not None else tuple(str(k + 1) for k in range(len(cameras)))
-    adjustment = adjust(sightings, noise, priors=priors, robust=robust)
-    return _result("ml-track", labels, sightings, adjustment, noise, priors, None)
+    adjustment, words = adjust(sightings, noise, priors=priors, robust=robust), tuple[str, ...]()
+    if priors is not None and priors.control is not None and robust:
+        heights = priors.heights
+
+        def places(control: ControlPoints) -> AdjustedPlaces:
+            found = adjust(sightings, noise, priors=PointPriors(heights, control))
+            return _places(sightings, found, noise, tracked=True)
+
+        numbers = np.arange(1.0, sightings.points + 1.0) if point_names is None else point_names
+        first = _places(sightings, adjustment, noise, tracked=True)
+        control, words = weighed_control(sightings, priors.control, numbers, first, places)
+        if words:
+            priors = PointPriors(heights, control)
+            adjustment = adjust(sightings, noise, priors=priors)
+    found = _result("ml-track", labels, sightings, adjustment, noise, priors, None)
+    return replace(found, warnings=(*words, *found.warnings))
 
 
 def _simultaneous(sightings: Sightings) -> bool:
@@ -331,6 +358,12 @@ def _points(
         sightings, found.angles, found.covariance, found.rejected, noise, found.departures
     )
     return (found.points if tracked and np.isfinite(found.angles).all() else position), covariance
+
+
+def _places(sightings: Sightings, found: Adjustment, noise: PoseNoise, *, tracked: bool) -> AdjustedPlaces:
+    """As of `_points`."""
+    held = tracked and found.point_covariance is not None
+    return AdjustedPlaces(*_points(sightings, found, noise, tracked=tracked), held)
 
 
 def triangulated(

@@ -120,8 +120,9 @@ def estimate(
         if method is not OrientMethod.ML_TRACK or drift:
             raise InputError("[[strip]] is oriented by --method ml-track, without --drift; leave them out")
         result = orient_pushbroom(
-            problem.strips, problem.tracks, problem.noise, names=problem.cameras, priors=problem.priors
-        )
+            problem.strips, problem.tracks, problem.noise, names=problem.cameras, priors=problem.priors,
+            point_names=problem.point_names,
+        )  # fmt: skip
     else:
         result = solve(problem, method.value, raw=raw, drift=drift)
     return stereo, result

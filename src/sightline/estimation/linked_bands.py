@@ -205,7 +205,8 @@ class _Part:
             after = np.concatenate([rows, after])[:depth]
             by_links = rows[:, inner]
             out[begin:stop] = rows[:, ~inner] - by_links @ bridge
-            spread = (by_links @ links).reshape(-1, size, len(links))
-            own = by_links.reshape(-1, size, len(links))
+            # a line that is tied to no other has no links
+            shape = (stop - begin) // size, size, len(links)
+            spread, own = (by_links @ links).reshape(shape), by_links.reshape(shape)
             blocks[begin // size : stop // size] += spread @ np.swapaxes(own, 1, 2)
         return blocks, out

@@ -77,6 +77,16 @@ def student_weights(expected: Array, *, degrees: float = DEGREES) -> Array:
     return np.asarray((degrees + 1.0) / (degrees + np.asarray(expected)), dtype=np.float64)
 
 
+def doubted_weights(squared: ArrayLike, cut: float) -> Array:
+    """Weights (n,) of measurements by squares, over their variance, of what they lie off the others.
+
+    1 within `cut` sigmas, the fourth power of cut over that beyond: what lies farther off has less to say,
+    not the same.
+    """
+    beyond = np.minimum(1.0, cut**2 / np.maximum(np.asarray(squared, dtype=np.float64), 1e-12))
+    return np.asarray(beyond**2)
+
+
 @njit(cache=True, nogil=True)
 def _row_variances(table, band):  # type: ignore[no-untyped-def]
     """Variance of every innovation row under a covariance given as a lower band."""

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 #: lines between: h px bias a window by about d h^2 / (6 f^2) for a displacement d and focal length f, 3e-4 px
 #: for d = 100, h = 4 and f = 1000.
 MAP_SPACING = 4
+#: Change of area from hub to partner, below which a map is flat: all of a window falls in one pixel or line.
+_FLAT = 1e-6
 
 
 class PixelMap(Protocol):
@@ -218,8 +220,10 @@ class PairOnGeometry:
             As of `match_images`.
         """
         turn = self.turn(points)
-        known = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
-        # what cannot be carried into the partner is not looked for
+        # what cannot be carried into the partner, or not back, is not looked for
+        with np.errstate(invalid="ignore"):
+            known = np.asarray(np.abs(np.linalg.det(turn)) > _FLAT)
+        known &= np.isfinite(turn).all(axis=(1, 2))
         turn = np.where(known[:, None, None], turn, np.eye(2))
         asked = np.where(known[:, None], points, np.nan)
         share = 0.5 if whitening is None else whitening.hub_share

@@ -511,6 +511,11 @@ BAD = {
         FormatError,
         "sigma = 0; a 1-sigma error",
     ),
+    "control: above": (
+        control("x,y,z,sigma,point\n6.4e7,2,3,1,4\n"),
+        FormatError,
+        "control point 4 at .* m behind a camera that sees it",
+    ),
     "control: unknown": (control("x,y,z,sigma,point\n6.4e6,2,3,1,77\n"), FormatError, "row 1 names point 77"),
     "control: twice": (control("x,y,z,sigma,point\n1,2,3,1,7\n1,2,3,1,7\n"), FormatError, "are both point 7"),
     "control: image": (

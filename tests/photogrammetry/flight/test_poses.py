@@ -14,11 +14,12 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.photogrammetry.block.point_priors import HeightPrior, PointPriors
-from sightline.photogrammetry.flight.path import path_precision, path_roughness
+from sightline.photogrammetry.flight.path import bends, path_precision, path_roughness
 from sightline.photogrammetry.flight.poses import (
     FramePoses,
     RoughPoses,
     adjust_frames,
+    frame_unknowns,
 )
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
 
@@ -213,7 +214,8 @@ def test_gross_mismatches_are_left_out():
 
 def test_even_motion_costs_nothing_and_bends_cost_by_their_rate():
     t = np.array([0.0, 0.1, 0.3, 0.4, 0.8])
-    precision = path_precision(t, np.full(6, 2.0), np.zeros(5, dtype=int), np.arange(5))
+    smooth = bends(t, np.full(6, 2.0), np.zeros(5, dtype=int))
+    precision = path_precision(*smooth, np.arange(5))
     whole = np.zeros((30, 30))
     for k in range(5):
         for d in range(min(k, 2) + 1):
@@ -224,6 +226,24 @@ def test_even_motion_costs_nothing_and_bends_cost_by_their_rate():
     bent = np.where(t > 0.3, t - 0.3, 0.0)[:, None] * np.array([1.0, 0, 0, 0, 0, 0])
     # one bend of 1 per s at t = 0.3: variance 2 (0.2 + 0.1) / 3
     assert bent.ravel() @ whole @ bent.ravel() == pytest.approx(1.0 / 0.2)
+
+
+def test_where_a_flight_turns_its_path_is_not_smooth():
+    # to and fro, half a turn between: on a path taken to be that smooth it would cost hundreds of sigmas
+    count, t = 8, np.arange(8.0)
+    place = np.column_stack([np.minimum(t, 7.0 - t) * 30.0, 20.0 * (t > 3.5), np.full(count, 80.0)])
+    turned = Rotation.from_rotvec(np.pi * np.outer(t > 3.5, [0.0, 0.0, 1.0]))
+    images = Images(np.zeros(count), np.arange(count), t, place, turned)
+    known = RoughPoses(np.full((count, 3), 3.0), np.full((count, 3), 0.03))
+    rough = np.array([1e-5, 1e-5, 1e-5, 0.5, 0.5, 0.5])
+    unknowns = frame_unknowns(images, known, rough)
+    tied = np.abs(unknowns.precision[:, 1:]).sum(axis=(2, 3)) > 0.0
+    assert tied[3].all() and tied[6].any()
+    # the two bends across the turn are those of frames 2, 3, 4 and 3, 4, 5
+    assert not tied[4, 0] and not tied[5, 1] and not tied[4, 1]
+    # tables that say nothing of attitudes show no turn
+    unknowns = frame_unknowns(images, replace(known, attitude=np.full((count, 3), np.inf)), rough)
+    assert (np.abs(unknowns.precision[2:, 1:]).sum(axis=(2, 3)) > 0.0).all()
 
 
 def test_sigmas_of_tables_must_be_positive():

@@ -10,6 +10,7 @@ from sightline.photogrammetry.flight.track_noise import (
     alike_neighbours,
     noise_of_tracks,
     with_drift,
+    with_scatter,
 )
 from sightline.photogrammetry.sightings import Tracks
 
@@ -86,3 +87,34 @@ def test_sigmas_grow_by_what_tracks_drift():
     # neighbours are independent: a factor of 1 to 1.5 by chance (as above)
     assert 0.6 * wanted < np.median(found.sigma_px) ** 2 < 1.9 * wanted
     assert with_drift(tracks, error, ~used) is tracks
+
+
+def seen_twice(seed: int, true: np.ndarray) -> tuple[Tracks, np.ndarray, np.ndarray]:
+    """Windows of 8 photographs whose sigmas (N,) are true, stated wrongly; residuals and their freedom.
+
+    Each is seen in two neighbouring ones, which both lose half of what they differ by to the point.
+    """
+    rng = np.random.default_rng(seed)
+    image = np.concatenate([np.repeat([k, k + 1], len(true) // 14) for k in range(7)])
+    pixels = rng.uniform(0.0, 4000.0, (len(image), 2))
+    residual = np.zeros((len(image), 2))
+    residual[:, 0] = np.sqrt(0.5) * true[: len(image)] * rng.standard_normal(len(image))
+    stated = np.hypot(0.1, 3.0 * true[: len(image)])
+    tracks = Tracks(image, np.arange(len(image)), pixels, stated)
+    return tracks, residual, np.full(len(image), 0.5)
+
+
+def test_sigmas_of_windows_found_from_afar_are_what_residuals_show():
+    # most are good to 0.01 px, a third to 0.08: stated with a floor of 0.1 and three times as large
+    true = np.tile([0.01, 0.01, 0.08], 1400)
+    tracks, residual, freedom = seen_twice(0, true)
+    found = with_scatter(tracks, residual, freedom, np.ones(len(tracks), dtype=bool))
+    fine = true[: len(tracks)] < 0.05
+    # of 1,400 squares or more: a sigma to sqrt(1 / 2 / 1400) = 2 %; neighbours add up to a tenth by chance
+    assert 0.94 * 0.01 < np.median(found.sigma_px[fine]) < 1.15 * 0.01
+    assert 0.94 * 0.08 < np.median(found.sigma_px[~fine]) < 1.15 * 0.08
+
+
+def test_few_windows_keep_their_sigmas():
+    tracks, residual, freedom = seen_twice(0, np.full(140, 0.01))
+    assert with_scatter(tracks, residual, freedom, np.ones(len(tracks), dtype=bool)) is tracks

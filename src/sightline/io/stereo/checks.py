@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, FormatError, GeometryError
+from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.photogrammetry.triangulate import Meeting, group_sums, meet_rays
 
@@ -152,6 +153,37 @@ def check_spread(path: Path, camera: Index, tracks: Tracks) -> None:
             f"{path}: all points lie on one line in the images, to {across.max():.2g} px: turning about it "
             "cannot "
             "be distinguished from a turn of the camera; give points over the whole frame, in both directions"
+        )
+
+
+def check_in_front(
+    where: str, control: ControlPoints, names: Array, tracks: Tracks, origins: Array, looks: Array
+) -> None:
+    """Refuse control points that lie behind a camera that is said to see them.
+
+    Parameters
+    ----------
+    where : str
+        The table of control points, named in the message.
+    control : ControlPoints
+    names : (n,)
+        Number of each point as the user gave it.
+    tracks : Tracks
+    origins, looks : (N, 3)
+        m and unit vectors, world axes: ray of each sighting by the planned poses.
+    """
+    row = np.full(len(names), -1, dtype=np.intp)
+    row[control.point] = np.arange(len(control.point))
+    seen = np.flatnonzero(row[tracks.point] >= 0)
+    ahead = ((control.position[row[tracks.point[seen]]] - origins[seen]) * looks[seen]).sum(axis=1)
+    behind = np.flatnonzero(~(ahead > 0.0))
+    if len(behind):
+        n = int(seen[behind[0]])
+        place = ", ".join(f"{v:.7g}" for v in control.position[row[tracks.point[n]]])
+        raise FormatError(
+            f"{where}: control point {names[tracks.point[n]]:g} at ({place}) m lies "
+            f"{-ahead[behind[0]]:.4g} m behind a camera that sees it, by the planned poses; check "
+            "x, y, z, what z is above, and [world] frame"
         )
 
 

@@ -28,6 +28,7 @@ from sightline.io.stereo.checks import (
     boresights,
     check_aim,
     check_baseline,
+    check_in_front,
     check_spread,
 )
 from sightline.io.stereo.points import block_of, check_points, ground_of, without_single
@@ -193,6 +194,8 @@ def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) 
     seen = tracks if table is not None else Tracks.none()
     if len(seen):
         origins, looks = origins[seen.image], rays_of(images, detectors, mounts, seen)
+        if control is not None:
+            check_in_front(f"{path}: {file.control_points}", control, names, seen, origins, looks)
     camera = images.camera[seen.image]
     doubts = tuple(dict.fromkeys(words for detector in detectors for words in wide_words(detector)))
     try:

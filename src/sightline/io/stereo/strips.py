@@ -21,7 +21,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.io.acquisition.acquired import Acquisition, InputFolder, field_of_view
 from sightline.io.acquisition.load import load_acquisition
-from sightline.io.stereo.checks import check_spread
+from sightline.io.stereo.checks import check_in_front, check_spread
 from sightline.io.stereo.points import block_of, check_points, ground_of, without_single
 from sightline.io.stereo.schema import StereoFile, StereoStrip
 from sightline.io.stereo.tables import StereoPoseTable, listed, read_observations
@@ -107,6 +107,8 @@ def strip_problem(
     tracks, points, control = block_of(file, files, poses, table, images.camera, shapes, local=local)
     tracks, points, control, warnings = without_single(tracks, points, control)
     origins, looks = _rays(cameras, tracks)
+    if control is not None:
+        check_in_front(f"{files.toml}: {file.control_points}", control, points, tracks, origins, looks)
     heights, surface, more = ground_of(
         file, files, path, names, tracks.image, tracks, origins, looks, local=local
     )

@@ -23,6 +23,7 @@ from scipy.sparse import csr_array, diags_array
 
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import ORDERS, Component, Matern, Order, Spectrum, Tone
+from sightline.estimation.robust import doubted_weights
 from sightline.motion.band import Band
 from sightline.motion.results import ControlFit
 from sightline.motion.sensors import ControlSightings
@@ -108,6 +109,8 @@ def solve_by_control(strip: Strip) -> tuple[Strip, StripState, ControlFit]:
     sigmas = np.array([p.sigma for p in strip.parameters])
     # about a motion that is smooth: where one jumps from line to line, places hang on its rate
     rows = sensor_rows(strip, strip.broad, initial_attitude(strip, statics), statics)
+    # a camera that has moved may no longer show what the one given shows
+    _check_enough(strip, _control_of(rows))
     model, rows = _learned(strip, rows, sigmas)
     apart = model.apart(grid, TAPS) if _longest_gap(rows, grid) > ORDER else None
     prior = JointPrior(model.processes(grid), sigmas, constant_sigma=constant, drift_sigma=drift, apart=apart)
@@ -121,7 +124,13 @@ def solve_by_control(strip: Strip) -> tuple[Strip, StripState, ControlFit]:
     state = StripState(estimate, prior, model, (), (), (), (), 0.0, GroundOrder())
     used = _control_of(rows)
     assert used is not None
-    return strip, state, _fit(grid, estimate, used)
+    fit = _fit(grid, estimate, used)
+    if not fit.kept.any():
+        raise EstimationError(
+            f"none of the {len(fit.kept)} control points on {strip.bands[0].name} goes with what the others "
+            "say: check their coordinates, what their heights are above, and their sigma"
+        )
+    return strip, state, fit
 
 
 def _control_of(rows: Sequence[SensorRows]) -> SensorRows | None:
@@ -318,8 +327,7 @@ class _Sightings:
         if beside:
             # the median of half a chi-squared of two
             squared /= max(float(np.median(squared)) / math.log(2.0), 1.0)
-        # what lies farther off has less to say, not the same
-        return np.repeat(np.minimum(1.0, CUT**2 / np.maximum(squared, 1e-12)) ** 2, 2)
+        return np.repeat(doubted_weights(squared, CUT), 2)
 
 
 def _some_of(rows: SensorRows, scale: Array, sigmas: Array) -> _Sightings:

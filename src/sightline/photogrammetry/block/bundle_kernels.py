@@ -146,6 +146,7 @@ def statistics(
     seen: float,
     out: Array,
     checked: Array,
+    freedom: Array,
 ) -> None:
     """Squared residual over its expectation of each sighting, and whether both its directions are checked.
 
@@ -156,8 +157,8 @@ def statistics(
         Covariance of each point, the poses given: what a sighting adds to its own point is its leverage.
     seen : float
         Share of a residual's variance below which a direction of it says nothing.
-    out, checked : (N,)
-        Results; `checked` is 0 or 1.
+    out, checked, freedom : (N,)
+        Results; `checked` is 0 or 1, `freedom` the squared residual that is expected of variance 1.
     """
     width = rows.shape[2] - 3
     for i in range(len(r)):
@@ -183,6 +184,7 @@ def statistics(
         if low > seen:
             out[i] += across * across / low
         checked[i] = 1 if low > seen else 0
+        freedom[i] = s00 + s11
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

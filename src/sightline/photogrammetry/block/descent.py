@@ -239,6 +239,8 @@ class Fit:
         Whether other sightings could have contradicted this one in both directions.
     scale : float
         Robust size of the residuals relative to the stated ones.
+    freedom : (N,)
+        Squared residual, whitened, that is expected of each sighting, its point following it: 2 at most.
     """
 
     state: State
@@ -248,6 +250,7 @@ class Fit:
     statistic: Array
     checked: BoolArray
     scale: float
+    freedom: Array
 
 
 def gross_error(sightings: int) -> float:
@@ -383,9 +386,9 @@ def _settle(
             if not (whole and reduced.reusable):
                 equations = None
             continue
-        statistic, checked = _statistic(replace(equations.curvature, weight=weight), pull.residuals)
+        statistic, checked, freedom = _statistic(replace(equations.curvature, weight=weight), pull.residuals)
         scale = np.sqrt(_scale(statistic[usable & checked]))
-        return Fit(state, weight, equations, steps, statistic, checked, float(scale))
+        return Fit(state, weight, equations, steps, statistic, checked, float(scale), freedom)
     raise DivergedError(DIVERGED)
 
 
@@ -521,7 +524,7 @@ def _redescend(block: BlockSums, state: State, usable: BoolArray, limit: float) 
     for _ in range(12):
         # leverage as of full weights: a point that only gross errors see would else seem to explain them
         curvature, r = block.curvature(state, usable.astype(np.float64))
-        statistic, checked = _statistic(curvature, r)
+        statistic, checked, _ = _statistic(curvature, r)
         scale = max(_scale(statistic[usable & checked]), 1.0)
         soft = np.where(usable, (1.0 + statistic / (9.0 * scale)) ** -2, 0.0)
         if scale > 0.9 * previous:
@@ -534,8 +537,8 @@ def _redescend(block: BlockSums, state: State, usable: BoolArray, limit: float) 
     return state, together(block, usable & (statistic <= limit * scale))
 
 
-def _statistic(curvature: Curvature, r: Array) -> tuple[Array, BoolArray]:
-    """Squared residual over its expectation (N,), and whether both its directions are checked by others.
+def _statistic(curvature: Curvature, r: Array) -> tuple[Array, BoolArray, Array]:
+    """Squared residual over its expectation (N,), whether both its directions are checked by others, freedom.
 
     Sightings of a point of which fewer than two are left are judged by each other, as if none had been left
     out: one alone can be met exactly, wherever it is.
@@ -546,9 +549,9 @@ def _statistic(curvature: Curvature, r: Array) -> tuple[Array, BoolArray]:
     by_point = c.rows[idle, :, c.rows.shape[2] - 3 :]
     np.add.at(of_points, c.point[idle], np.einsum("nka,nkb->nab", by_point, by_point))
     inverse = invert_points(of_points)
-    out, checked = np.empty(len(r)), np.empty(len(r))
-    statistics(c.rows, np.where(idle, 1.0, c.weight), c.point, inverse, r, _SEEN, out, checked)
-    return out, checked > 0.0
+    out, checked, freedom = np.empty((3, len(r)))
+    statistics(c.rows, np.where(idle, 1.0, c.weight), c.point, inverse, r, _SEEN, out, checked, freedom)
+    return out, checked > 0.0, freedom
 
 
 def _scale(statistic: Array) -> float:

@@ -237,8 +237,12 @@ def _match_pair(
     if len(points) < _LEAST_WINDOWS:
         return None
     high = pair.reach(points, plan.height_range)
+    seen = np.isfinite(high).all(axis=1)
+    if seen.sum() < _LEAST_WINDOWS:
+        return None  # ground as high or low as it may be here lies out of the partner's sight
+    points, high = points[seen], high[seen]
     loose = 2.0 * plan.pointing_error * cameras[1].detector.focal_length_px / k
-    reach = np.minimum(np.ceil(np.nanmax(high, axis=0) + loose) + 1, _LONGEST_SEARCH).astype(int)
+    reach = np.minimum(np.ceil(high.max(axis=0) + loose) + 1, _LONGEST_SEARCH).astype(int)
     found = pair.found(
         points, window=size, search_px=(int(reach[0]), int(reach[1])), whitening=gradient_filter(),
         min_score=_MIN_SCORE,
@@ -248,7 +252,7 @@ def _match_pair(
         return None
     # windows that lie on a spurious peak lie anywhere; true ones go together but for the relief
     moved = matches.b - pair.where(points)
-    spread = np.nanmedian(high, axis=0) + _DISAGREE
+    spread = np.median(high, axis=0) + _DISAGREE
     near = matches.kept & (np.abs(moved - np.median(moved[matches.kept], axis=0)) < spread).all(axis=1)
     if near.sum() < max(_LEAST_WINDOWS, _AGREEMENT * matches.kept.sum()):
         return None

@@ -19,6 +19,8 @@ UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
 _PAUSE = 10.0
 #: Bends end to end that show how rough a path is over a step.
 _LEAST_BENDS = 4
+#: Share of them that counts where two or fewer show it: nothing holds its mean then.
+_LEAST_COUNT = 0.1
 
 
 def stretches(t: Array) -> NDArray[np.intp]:
@@ -45,17 +47,13 @@ def path_turns(images: Images, stretch: NDArray[np.intp]) -> Array:
     return out
 
 
-def path_precision(t: Array, roughness: Array, stretch: NDArray[np.intp], rank: NDArray[np.intp]) -> Array:
+def path_precision(row: Array, at: NDArray[np.intp], strength: Array, rank: NDArray[np.intp]) -> Array:
     """Prior precision (M, 1 + s, 6, 6) that ties each frame to the two before it.
 
     Parameters
     ----------
-    t : (M,)
-        s, increasing.
-    roughness : (6,)
-        Spectral density of the second derivative of each unknown, unit^2 / s^3.
-    stretch : (M,) int
-        Frames of different stretches are not tied.
+    row, at, strength
+        As of `bends`.
     rank : (M,) int
         Row of the precision that each frame has.
 
@@ -63,16 +61,10 @@ def path_precision(t: Array, roughness: Array, stretch: NDArray[np.intp], rank: 
     -------
     (M, 1 + s, 6, 6)
         As `PoseUnknowns.precision`. Straight and even motion costs nothing.
-
-    Notes
-    -----
-    With white acceleration the bend (x3 - x2)/h2 - (x2 - x1)/h1 has variance roughness (h1 + h2)/3; that
-    neighbouring bends go together is left out.
     """
-    row, at, strength = bends(t, roughness, stretch)
     places = rank[at[:, None] + np.arange(-2, 1)]
     reach = int(np.abs(places[:, :, None] - places[:, None, :]).max()) if len(at) else 0
-    out = np.zeros((len(t), 1 + reach, 6, 6))
+    out = np.zeros((len(rank), 1 + reach, 6, 6))
     axis = np.arange(6)
     for i in range(3):
         for j in range(3):
@@ -89,8 +81,12 @@ def bends(t: Array, roughness: Array, stretch: NDArray[np.intp]) -> tuple[Array,
 
     Parameters
     ----------
-    t, roughness, stretch
-        As of `path_precision`.
+    t : (M,)
+        s, increasing.
+    roughness : (6,)
+        Spectral density of the second derivative of each unknown, unit^2 / s^3.
+    stretch : (M,) int
+        Frames of different stretches are not tied.
 
     Returns
     -------
@@ -100,6 +96,11 @@ def bends(t: Array, roughness: Array, stretch: NDArray[np.intp]) -> tuple[Array,
         The last of them.
     strength : (n, 6)
         1 / variance.
+
+    Notes
+    -----
+    With white acceleration the bend (x3 - x2)/h2 - (x2 - x1)/h1 has variance roughness (h1 + h2)/3; that
+    neighbouring bends go together is left out.
     """
     h = np.diff(t)
     first, last = 1.0 / h[:-1], 1.0 / h[1:]
@@ -140,7 +141,9 @@ def path_roughness(t: Array, path: Array, seen: Array) -> Array:
         clear = tied & good[first] & good[middle] & good[last]
         used = size[clear] if clear.any() else size[tied]
         if len(used):
-            out, longest = np.maximum(out, used.mean(axis=0)), step
+            # of few bends the mean may be small by chance: what a variance is on the mean, given n squares
+            count = max(len(used) - 2.0, _LEAST_COUNT * len(used))
+            out, longest = np.maximum(out, used.sum(axis=0) / count), step
         step *= 2
     out[:3] = out[:3].max()
     return np.maximum(out, 1e-12 * UNITS**2) * max(_longest_gap(good) / longest, 1.0)

@@ -56,8 +56,10 @@ from sightline.photogrammetry.sightings import Images, Sightings, as_index
 
 #: Roughness (unit^2 / s^3 in `UNITS`) with which the first solution starts: hardly any smoothness.
 _LOOSE_ROUGHNESS = 1e8
-#: Rounds in which the roughness of the path is measured anew.
-_ROUNDS = 2
+#: Rounds in which the roughness of the path is measured anew; frames up to which it is measured once.
+_ROUNDS, _FEW = 2, 30
+#: Sigmas of a bend of the path from which on it is a turn.
+_TURN = 6.0
 #: Steps end when the next would lower the cost by less (chi-square units): a hundredth of a sigma.
 _CONVERGED = 1e-4
 #: Frames up to which the covariance of all poses with each other is kept: 3 MB.
@@ -182,6 +184,9 @@ class FramePoses(ReadOnlyArrays):
     cost : float
         What is minimised: chi-square of sightings that count, of tables and of all else that is known, and
         for each gross error what it exceeds at least; inf where nobody asked.
+    freedom : (N,) or None
+        Squared residual over variance that is expected of each sighting, its point following it; None where
+        nobody asked.
     """
 
     position: Array
@@ -202,6 +207,7 @@ class FramePoses(ReadOnlyArrays):
     focal: FocalStretch | None = None
     cost: float = np.inf
     readout: ReadoutTime | None = None
+    freedom: Array | None = None
 
     def readout_time(self, given: float) -> float:
         """s; that of the frames found, from the one given."""
@@ -258,11 +264,17 @@ def frame_unknowns(
     rank = np.arange(count) if rank is None else rank
     stretch = stretches(images.t)
     small = roughness / UNITS**2
-    precision = path_precision(images.t, small, stretch, rank)
     # it is the path itself that is smooth, not what tables have wrong of it
     row, at, strength = bends(images.t, small, stretch)
     planned = path_turns(moved_images(images, moved), stretch) / UNITS
     bend = np.einsum("nk,nka->na", row, planned[at[:, None] + np.arange(-2, 1)])
+    # where a flight turns it is not smooth: frames that show nothing may hide that from the roughness; they
+    # lie where the tables have them
+    noise = np.concatenate([known.attitude, known.along_world()], axis=1) / UNITS
+    loose = np.einsum("nk,nka->na", row**2, noise[at[:, None] + np.arange(-2, 1)] ** 2)
+    turns = (bend**2 > _TURN**2 * (loose + 1.0 / strength)).any(axis=1)
+    strength = np.where(turns[:, None], 0.0, strength)
+    precision = path_precision(row, at, strength, rank)
     pull = np.zeros((count, 6))
     for k in range(3):
         pull[rank[at + k - 2]] += row[:, k, None] * strength * bend
@@ -364,7 +376,8 @@ def adjust_frames(
         state.points[given] = points[given] - block.origin
         usable = usable | (given[sightings.point] & seen_twice(sightings, priors))
     fit = descend(block, state, usable, robust=robust, converged=_CONVERGED)
-    for _ in range(_rounds(len(images), known, solved)):
+    for number in range(_rounds(len(images), known, solved)):
+        first_round = number == 0
         step = block.unknowns.departures(fit.state.own, fit.state.common)
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
         moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:6]], axis=1)
@@ -372,9 +385,10 @@ def adjust_frames(
         seen = _count(sightings, fit.weight, images)
         if roughness is not None:
             rough = np.asarray(roughness)
-        elif solved is None:
+        elif solved is None and (first_round or len(images) > _FEW):
             rough = path_roughness(images.t, path, seen)
-        # otherwise that of before: measured on a path that it has smoothed it would shrink every time
+        # otherwise that of before: measured on a path that it has smoothed it would shrink every time, and of
+        # few frames at once, with the path itself
         unknowns = replace(frame_unknowns(images, known, rough, order.rank, moved), last=order.last)
         before, block = block, BlockSums(from_poses(block.sightings, step), unknowns, priors)
         common = np.zeros(unknowns.globals)
@@ -493,6 +507,7 @@ def as_frame_poses(
         focal,
         float(cost + gross_error(len(sightings)) * np.count_nonzero(~used)),
         None if step is None else step.found,
+        frozen(fit.freedom),
     )
     return poses, common
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array, frozen
@@ -34,6 +33,7 @@ from sightline.photogrammetry.flight.poses import (
 )
 from sightline.photogrammetry.flight.rig import OFFSETS, RigCamera, RigOffsets, rig_images
 from sightline.photogrammetry.flight.solving_order import solving_order
+from sightline.photogrammetry.flight.track_noise import alike_beside
 from sightline.photogrammetry.sightings import Images, Tracks, as_index, sight_frames
 
 #: Rounds in which the equations are linearised about the solution before.
@@ -376,7 +376,7 @@ def rig_noise(solution: RigSolution, tracks: Tracks, given: Tracks, cameras: int
         unit = solution.poses.residual_px[rows] / given.sigma_px[rows, None]
         again = np.bincount(given.point[rows], minlength=int(given.point.max()) + 1)[given.point[own]]
         factor *= 1.0 + np.maximum(again - 1, 0) * _alike_again(given.point[rows], unit)
-        factor *= 1.0 + _alike_beside(given.image[rows], given.pixels[rows], unit)
+        factor *= 1.0 + alike_beside(given.image[rows], given.pixels[rows], unit)
         sigma[own] *= np.sqrt(factor)
     return replace(given, sigma_px=sigma)
 
@@ -393,20 +393,6 @@ def _alike_again(point: Index, unit: Array) -> float:
     return float(np.clip(together / (squares.sum() / len(point)), 0.0, 1.0))
 
 
-def _alike_beside(image: Index, pixels: Array, unit: Array) -> float:
-    """Sum of the correlations of residuals (N, 2) with those of the nearest windows of the same image."""
-    products, squares, seen = np.zeros(_NEIGHBOURS), 0.0, 0
-    for number in np.unique(image):
-        rows = np.flatnonzero(image == number)
-        if len(rows) < 2 * _NEIGHBOURS:
-            continue
-        near = np.asarray(cKDTree(pixels[rows]).query(pixels[rows], _NEIGHBOURS + 1)[1])[:, 1:]
-        products += (unit[rows][:, None] * unit[rows][near]).sum(axis=(0, 2))
-        squares, seen = squares + float((unit[rows] ** 2).sum()), seen + len(rows)
-    return max(float(products.sum()) / squares, 0.0) if seen >= _LEAST_SCALED else 0.0
-
-
-#: Sightings from which on residuals tell how good those of a camera are; median of their chi-square; windows
-#: around one that may err like it.
-_LEAST_SCALED, _MEDIAN_2, _NEIGHBOURS = 30, 1.3863, 8
+#: Sightings from which on residuals tell how good those of a camera are; median of their chi-square.
+_LEAST_SCALED, _MEDIAN_2 = 30, 1.3863
 Index = NDArray[np.intp]

@@ -22,7 +22,7 @@ from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 from sightline.photogrammetry.flight.readout import ReadoutChange
 from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines, line_delays
 from sightline.photogrammetry.flight.start import approached
-from sightline.photogrammetry.flight.track_noise import with_drift
+from sightline.photogrammetry.flight.track_noise import with_drift, with_scatter
 from sightline.photogrammetry.pair.relief import points_alike
 from sightline.photogrammetry.sightings import (
     Images,
@@ -36,6 +36,8 @@ from sightline.photogrammetry.sightings import (
 
 #: Rounds in which the noise of the sightings is taken from the residuals of the solution before.
 _NOISE_ROUNDS = 1
+#: The same of windows found from afar: with sigmas far from true the first leaves out the wrong ones.
+_SCATTER_ROUNDS = 2
 #: Chi-square by which a start must end lower than another to have found a better minimum, not the same.
 _OTHER = 1.0
 #: Rounds in which the path within frames is taken from the solution before.
@@ -127,8 +129,9 @@ class SequenceSolver:
         """
         tracks = tracks_of(self.followed)
         tracks, poses, words = self._best_start(tracks)
-        for _ in range(0 if words else _NOISE_ROUNDS):
-            finer = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
+        given = tracks
+        for _ in range(0 if words else _SCATTER_ROUNDS):
+            finer = _scattered(given, poses)
             try:
                 poses, tracks = self.solve(finer, poses), finer
             except EstimationError:
@@ -225,6 +228,13 @@ class SequenceSolver:
         return CrossPlan(
             float(np.nanquantile(above, 0.99)), min(loose, 0.05), reduction=self.problem.filter_period
         )
+
+
+def _scattered(tracks: Tracks, poses: FramePoses) -> Tracks:
+    """Windows found from afar, as good as residuals of a solution show them to be."""
+    assert poses.freedom is not None
+    rows = slice(len(tracks))
+    return with_scatter(tracks, poses.residual_px[rows], poses.freedom[rows], ~poses.rejected[rows])
 
 
 def ground_distances(problem: SequenceProblem) -> Array:

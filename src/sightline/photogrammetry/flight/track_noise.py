@@ -1,4 +1,4 @@
-"""How sightings of followed windows err: each by itself, and all of a track together, ever more with time.
+"""How sightings of windows err: each by itself, and all of a track together, ever more with time.
 
 A window changes while it is followed, with its wavelength and with the angle it is seen under; what that
 moves it by is much the same in the next frame, and in the one after it more of the same. Sightings that err
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 from scipy.spatial import cKDTree
 
 from sightline.geometry.checks import Array
@@ -23,8 +23,12 @@ from sightline.photogrammetry.sightings import Tracks
 _PAIRS = 100
 #: Share of a usual track up to which lags are looked at: few tracks are longer.
 _LONGEST = 0.9
-#: Windows around one that may err like it.
-_NEIGHBOURS = 8
+#: Windows around one that may err like it; sightings from which on they are asked.
+_NEIGHBOURS, _LEAST_BESIDE = 8, 30
+#: Squares of residuals from which on they say how good sightings are; numbers of a pose that follow them.
+_LEAST_FREEDOM, _POSE = 100.0, 6
+#: Variances that are looked at, over those stated.
+_FINEST, _COARSEST = 1e-4, 1e4
 
 
 @dataclass(frozen=True)
@@ -183,3 +187,67 @@ def with_drift(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]) -> T
     relative *= alike_neighbours(tracks, residual_px, used)
     variance = relative * noise.equivalent(_spans(tracks.image, tracks.point).astype(np.float64))
     return Tracks(tracks.image, tracks.point, tracks.pixels, np.sqrt(variance))
+
+
+def with_scatter(tracks: Tracks, residual_px: Array, freedom: Array, used: NDArray[np.bool_]) -> Tracks:
+    """Tracks of windows found from afar with sigmas that their residuals bear out.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Sigmas are those of the matches and one that all have alike, for two views of one place that differ.
+    residual_px : (N, 2)
+        Of a solution near by.
+    freedom : (N,)
+        Squared residual over variance that is expected of each sighting, its point following it.
+    used : (N,) bool
+        Good sightings.
+
+    Returns
+    -------
+    Tracks
+        The same where too few sightings are good.
+
+    Notes
+    -----
+    A match says how noise moves it; two views of one place differ besides. The variance of a sighting is
+    taken as f + g v, v what its match says of itself beyond the best. Of squared residuals q of freedom n,
+    less the share that the poses took by following them, f and g are those of the largest likelihood: of the
+    sum over n log(f + g v) + q / (f + g v) the least. Windows that err like their neighbours count for fewer
+    than they are.
+    """
+    square = (residual_px[used] ** 2).sum(axis=1)
+    free = np.maximum(freedom[used], 0.0)
+    total, poses = float(free.sum()), _POSE * len(np.unique(tracks.image[used]))
+    if total < max(_LEAST_FREEDOM, 2.0 * poses):
+        return tracks
+    free *= 1.0 - poses / total
+    stated = tracks.sigma_px**2
+    alike = float(stated[used].min())
+    parts = np.stack([np.full(len(stated), alike), stated - alike])
+
+    def unlikely(logs: Array) -> float:
+        variance = np.exp(logs) @ parts[:, used]
+        return float((free * np.log(variance) + square / variance).sum())
+
+    # where all say the same of themselves g is not seen, and stays
+    bounds = [(np.log(_FINEST), np.log(_COARSEST))] * 2
+    start = np.full(2, np.log(max(float(square.sum() / (free * stated[used]).sum()), _FINEST)))
+    found = minimize(unlikely, start, method="Nelder-Mead", bounds=bounds, options={"xatol": 0.01})
+    variance = np.exp(found.x) @ parts
+    unit = residual_px[used] / np.sqrt(variance[used])[:, None]
+    variance *= 1.0 + alike_beside(tracks.image[used], tracks.pixels[used], unit)
+    return Tracks(tracks.image, tracks.point, tracks.pixels, np.sqrt(variance))
+
+
+def alike_beside(image: NDArray[np.intp], pixels: Array, unit: Array) -> float:
+    """Sum of the correlations of residuals (N, 2) with those of the nearest windows of the same image."""
+    products, squares, seen = np.zeros(_NEIGHBOURS), 0.0, 0
+    for number in np.unique(image):
+        rows = np.flatnonzero(image == number)
+        if len(rows) < 2 * _NEIGHBOURS:
+            continue
+        near = np.asarray(cKDTree(pixels[rows]).query(pixels[rows], _NEIGHBOURS + 1)[1])[:, 1:]
+        products += (unit[rows][:, None] * unit[rows][near]).sum(axis=(0, 2))
+        squares, seen = squares + float((unit[rows] ** 2).sum()), seen + len(rows)
+    return max(float(products.sum()) / squares, 0.0) if seen >= _LEAST_BESIDE else 0.0
