@@ -11,6 +11,7 @@ import pytest
 
 import maker_files as maker
 from sightline.cli.main import run
+from sightline.geometry.surface import Ellipsoid
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats.products.recognise import read_product
 
@@ -49,14 +50,40 @@ def test_raw_bands_are_an_acquisition(images, by):
     file = tomllib.loads((images / "acq" / "acquisition.toml").read_text())
     colour, last = file["band"][1:]
     assert last["first_line_time"] == pytest.approx(0.1723, abs=1e-6)
-    # looks back by the way of the lag: .1591 s 6770 m/s / 694 km
-    assert colour["look_ahead"] == pytest.approx(-0.1591 * 6770 / 694e3, rel=1e-3)
+    # looks back by the way of the lag: .1591 s 6770 m/s / 694 km; the written product's own orbit is near it
+    assert colour["look_ahead"] == pytest.approx(-0.1591 * 6770 / 694e3, rel=1e-3 if by == "preset" else 0.5)
     assert colour["ifov"] == pytest.approx(4 * file["instrument"]["ifov"], rel=1e-6)
     assert colour["line_period"] == pytest.approx(4 * file["instrument"]["line_period"])
     assert "sign of the lags" not in said
     assert ("PHRDIMAP_P1.XML (Band_TS_List)" in said) == (by == "product")
     acquired = load_acquisition(images / "acq" / "acquisition.toml")
     assert [band.image.shape for band in acquired.bands] == [(640, 480), (160, 120), (160, 120)]
+
+
+def test_raw_bands_fly_along_the_orbit_of_the_product(images):
+    path = maker.pleiades(images)
+    bands = [images / f"raw_{name}.npy" for name in ("PA", "B0", "B2")]
+    status, said = said_by("init", path, *bands, "--out", images / "acq")
+    assert status == 0, said
+    acquired = load_acquisition(images / "acq" / "acquisition.toml")
+    panchromatic, *colours = acquired.cameras
+    product = read_product(path)
+    model, ground = product.model.camera, Ellipsoid(height=product.height or 0.0)
+    # the middle of line 0 is where the product's lies; to the millionth of a pixel of .7 m
+    middle = panchromatic.locate(np.array([[0.0, 239.5]]), acquired.surface)
+    expected = model.locate(np.array([[0.0, 0.5 * (model.columns - 1)]]), ground)
+    # the chord of the line's ends against its middle: looks are a polynomial of the second degree at most
+    assert np.linalg.norm(middle - expected) < 1.0
+    for camera in colours:
+        # columns 239.5 of the fine pixels are 59.5 of those four times as wide
+        np.testing.assert_allclose(camera.project(middle), [[0.0, 59.5]], atol=1e-3)
+    # longer bands than the metadata know the attitude of
+    np.save(images / "long_PA.npy", np.zeros((100_000, 4), np.uint16))
+    np.save(images / "long_B0.npy", np.zeros((25_000, 1), np.uint16))
+    status, said = said_by(
+        "init", path, images / "long_PA.npy", images / "long_B0.npy", "--out", images / "b"
+    )
+    assert status == 2 and "or bands cut to its lines" in said
 
 
 def test_a_product_that_tells_no_lags_does_not_serve_raw_bands(images):

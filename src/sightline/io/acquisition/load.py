@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.applications.expected_cost import Cost, frames_cost, spin_cost, strip_cost
 from sightline.applications.line_of_sight import ready_strip
@@ -22,6 +23,7 @@ from sightline.applications.spin_attitude import SpinOptions, seen_again
 from sightline.errors import EstimationError, FormatError, InputError, naming
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_files, world_kind
 from sightline.io.acquisition.apparent import bent_bands
 from sightline.io.acquisition.bands import build_bands
@@ -49,14 +51,20 @@ from sightline.io.acquisition.stages import check_covered
 from sightline.io.acquisition.strips import attitude_sigma, chip_knowledge
 from sightline.io.config import read_toml, validate
 from sightline.io.formats import tables
+from sightline.io.formats.ccsds import need_epoch
 from sightline.io.formats.line_scan import shared_grid
+from sightline.io.formats.products.makers import TURNING
+from sightline.io.formats.sentinel1 import is_sentinel1, read_sentinel1_attitude
 from sightline.matching.select import Selection
 from sightline.motion.frames.passes import FrameOptions
+from sightline.motion.gyros import departures
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.control_only import one_band_words
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.result import set_source
+
+Array = NDArray[np.float64]
 
 __all__ = ["Acquisition", "load_acquisition", "read_acquisition", "ready_to_recover"]
 
@@ -151,7 +159,8 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         check_sampling(path, surface, cameras, names)
         if len(cameras) > 1:
             check_overlap(path, surface, cameras, names, still=bool(still))
-    sensors = tuple(read_sensor(entry, files) for entry in config.attitude_sensor)
+    reference = cameras[0].trajectory
+    sensors = tuple(read_sensor(entry, files, config, reference) for entry in config.attitude_sensor)
     exposed = np.concatenate([camera.times(np.array([0.0, camera.shape[0] - 1.0])) for camera in cameras])
     return Acquisition(
         path=path,
@@ -234,10 +243,14 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
     return cost
 
 
-def read_sensor(entry: SensorSection, files: InputFolder) -> AttitudeSensor:
-    """The table of one ``[[attitude_sensor]]``."""
+def read_sensor(
+    entry: SensorSection, files: InputFolder, config: AcquisitionFile, reference: Trajectory
+) -> AttitudeSensor:
+    """The table of one ``[[attitude_sensor]]``; rates are beside the attitude that `reference` holds."""
     path = files(entry.table)
-    if entry.kind == "star-tracker":
+    if is_sentinel1(path):
+        start, end, angles, sigma = _rates_of_sentinel1(path, entry, files, config, reference)
+    elif entry.kind == "star-tracker":
         t, angles, sigma = tables.read_star_tracker(path)
         start, end = t, t
     else:
@@ -253,6 +266,33 @@ def read_sensor(entry: SensorSection, files: InputFolder) -> AttitudeSensor:
         bias_sigma=entry.bias_sigma,
         correlation_time=entry.correlation_time,
     )
+
+
+def _rates_of_sentinel1(
+    path: Path, entry: SensorSection, files: InputFolder, config: AcquisitionFile, reference: Trajectory
+) -> tuple[Array, Array, Array, Array]:
+    """A gyro's increments by the rates of a table of Sentinel-1, as of `tables.read_gyro`."""
+    if entry.kind != "gyro" or config.world.frame == "local":
+        raise FormatError(
+            f"{files.toml}: [[attitude_sensor]] {entry.table}: is a table of Sentinel-1, whose rates are "
+            'read as kind = "gyro" beside Earth-fixed attitudes; its quaternions are the output of the '
+            "filter over them: give them as attitudes of [platform]"
+        )
+    read = read_sentinel1_attitude(path, need_epoch(path, config.acquisition.epoch))
+    begin, end = reference.span
+    used = (read.t >= begin) & (read.t <= end)
+    if used.sum() < 2:
+        raise FormatError(
+            f"{path}: {int(used.sum())} of its rates lie within the attitudes of [platform], from "
+            f"{begin:.6g} to {end:.6g} s; two or more are needed: is it of another pass, or epoch?"
+        )
+    if read.doubt:
+        files.doubts.append(f"{path.name}: {read.doubt}")
+    t = read.t[used]
+    angles = departures(t, read.turned[used], reference.at(t).world_from_body, TURNING)
+    sigma, words = read.noise()
+    files.said.append(f"{path.name}: {words}")
+    return t[:-1], t[1:], angles, np.full(len(angles), sigma)
 
 
 def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownContent:

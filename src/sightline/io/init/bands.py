@@ -52,12 +52,23 @@ class FirstAcquisition:
 
 
 @dataclass(frozen=True)
-class _Image:
-    """One band of a file, and which band of the instrument it is."""
+class BandImage:
+    """One band of a file, and which band of the instrument it is.
+
+    Attributes
+    ----------
+    path : Path
+    number : int
+        Of the band in the file, from 1.
+    name : str
+        Of the instrument's band.
+    lines, columns : int
+    """
 
     path: Path
     number: int
     name: str
+    lines: int
     columns: int
 
 
@@ -89,7 +100,7 @@ def acquisition_of_bands(
     FormatError
         If an image cannot be read.
     """
-    bands = _bands(preset, images, names)
+    bands = band_images(preset, images, names)
     assumed, unknown = _assumed(preset, sign), _unknown(preset, sign)
     parts = [_common(preset, bands[0])]
     parts += [_band(preset, band, bands[0], folder, 1 if sign is None else sign) for band in bands]
@@ -112,9 +123,9 @@ def acquisition_text(
     return text
 
 
-def _bands(preset: Preset, images: Sequence[Path], names: Sequence[str]) -> list[_Image]:
-    """Every band of the images, checked."""
-    found: list[tuple[Path, int, int]] = []
+def band_images(preset: Preset, images: Sequence[Path], names: Sequence[str] = ()) -> list[BandImage]:
+    """Every band of the images, checked: arguments and errors as of `acquisition_of_bands`."""
+    found: list[tuple[Path, int, tuple[int, int]]] = []
     met: set[Path] = set()
     for path in images:
         if path.resolve() in met:
@@ -128,7 +139,7 @@ def _bands(preset: Preset, images: Sequence[Path], names: Sequence[str]) -> list
                 f"{path} holds {count} bands; say which they are, in their order: --bands NAME,NAME,...; "
                 f"allowed: {', '.join(preset.lags)}"
             )
-        found += [(path, number + 1, image.shape[1]) for number in range(count)]
+        found += [(path, number + 1, image.shape) for number in range(count)]
     if names and len(names) != len(found):
         raise InputError(
             f"--bands names {len(names)} bands, the images hold {len(found)}; give one name for each, or one "
@@ -136,20 +147,20 @@ def _bands(preset: Preset, images: Sequence[Path], names: Sequence[str]) -> list
         )
     called = [_known(preset, name) for name in names] or [_in_name(preset, path) for path, _, _ in found]
     bands = [
-        _Image(path, number, name, columns)
-        for (path, number, columns), name in zip(found, called, strict=True)
+        BandImage(path, number, name, *shape)
+        for (path, number, shape), name in zip(found, called, strict=True)
         if name != _LEFT_OUT
     ]
     _check(preset, bands)
     return bands
 
 
-def _check(preset: Preset, bands: Sequence[_Image]) -> None:
+def _check(preset: Preset, bands: Sequence[BandImage]) -> None:
     """InputError unless these can be the bands of one strip."""
     if len(bands) < 2:
         given = bands[0].name if bands else "none"
         raise InputError(f"too few bands ({given}); motion is seen between two or more: give others too")
-    met: dict[str, _Image] = {}
+    met: dict[str, BandImage] = {}
     for band in bands:
         first = met.setdefault(band.name, band)
         if first is not band:
@@ -221,7 +232,7 @@ def _unknown(preset: Preset, sign: int | None) -> tuple[str, ...]:
     )
 
 
-def _common(preset: Preset, first: _Image) -> str:
+def _common(preset: Preset, first: BandImage) -> str:
     """What all bands have alike but for those of other pixels."""
     wide = preset.wide_of(first.name)
     head = f"[acquisition]\nepoch = {toml_string(preset.epoch)}\n\n" if preset.epoch else ""
@@ -236,7 +247,7 @@ columns = {first.columns}
 line_period = {preset.line_period * wide:.10g}              # s"""
 
 
-def _band(preset: Preset, band: _Image, first: _Image, folder: Path, sign: int) -> str:
+def _band(preset: Preset, band: BandImage, first: BandImage, folder: Path, sign: int) -> str:
     """One band and its image."""
     lag = sign * preset.lags[band.name]
     # 0.0 - 0.0 is not -0.0

@@ -25,6 +25,7 @@ from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, acqu
 from sightline.io.init.hirise import acquisition_of_edrs
 from sightline.io.init.mosaic import mosaic
 from sightline.io.init.presets import PRESETS
+from sightline.io.init.raw_bands import acquisition_of_raw_bands
 from sightline.io.init.telemetry import FirstSensors, first_sensors
 from sightline.io.names import toml_string
 from sightline.writing import whole_text
@@ -81,7 +82,7 @@ def acquisition_of_products(
     bare = [path for path in files if product_kind(path) is None]
     metadata = [path for path in files if path not in bare]
     if len(metadata) == 1 and bare:
-        return _of_raw_bands(read_product(metadata[0]), bare, folder, names)
+        return acquisition_of_raw_bands(read_product(metadata[0]), bare, folder, names)
     if bare:
         raise InputError(
             f"{bare[0]}: is no metadata of a product; {KNOWN}; images without metadata are given with "
@@ -205,34 +206,6 @@ class _Beside:
 def _tiles(product: Product) -> list[Path]:
     """The files of an image that is made of several, or of bare numbers; none of others."""
     return [] if product.pixels is None else [_beside(product, tile.image) for tile in product.pixels.tiles]
-
-
-def _of_raw_bands(
-    product: Product, images: Sequence[Path], folder: Path, names: Sequence[str]
-) -> FirstAcquisition:
-    """Bands in sensor geometry, their lags by the metadata of a product that was made of them."""
-    if product.raw is None:
-        raise InputError(
-            f"{images[0]}: is no metadata of a product, and {product.path.name} ({product.kind}) tells no "
-            "lags of bands in sensor geometry; give the product alone, or the images with --preset NAME "
-            f"({', '.join(PRESETS)})"
-        )
-    known = PRESETS["pleiades"]
-    source = (
-        f"lags and line period: {product.path.name} (Band_TS_List), whole frames that move together by 5 ms "
-        "from product to product: 3 ms (1-sigma)"
-    )
-    preset = replace(
-        known,
-        instrument=f"bands in sensor geometry of {product.kind}",
-        lags={**product.raw.lags},
-        line_period=product.raw.line_period,
-        ground_speed=known.pixel / product.raw.line_period,
-        sources=(source, *known.sources[1:]),
-    )
-    begun = acquisition_of_bands(preset, images, folder, names)
-    looks = f"looks of the real detectors: not in {product.path.name}, which describes its own virtual line"
-    return replace(begun, unknown=(*begun.unknown, looks))
 
 
 def _of_granule(

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError, InputError
+from sightline.geometry.trajectory import Trajectory
 from sightline.io.formats.products.makers import TURNING
 from sightline.io.formats.products.pleiades_telemetry import PleiadesTelemetry, read_pleiades_telemetry
 from sightline.io.formats.products.product import Product
@@ -51,11 +52,11 @@ class FirstSensors:
             write_columns(folder / name, columns, dict.fromkeys(columns, "%.17g"))
 
 
-def first_sensors(product: Product) -> FirstSensors | None:
+def first_sensors(product: Product, flown: Trajectory | None = None) -> FirstSensors | None:
     """Sensors of a product whose metadata hold telemetry; None of others.
 
     Angles of gyros are turned into increments about the body axes of the product's model, less those of its
-    reference attitude.
+    reference attitude, or of that of `flown` where another one is the platform's.
     """
     if product_kind(product.path) != "pleiades":
         return None
@@ -65,7 +66,8 @@ def first_sensors(product: Product) -> FirstSensors | None:
         return _unused(str(error))
     if read is None:
         return None
-    trajectory = product.model.camera.trajectory
+    modelled = product.model.camera.trajectory
+    trajectory = modelled if flown is None else flown
     later = product.model.camera.first_line_time
     begin, end = trajectory.span
     t = read.t + later
@@ -74,7 +76,8 @@ def first_sensors(product: Product) -> FirstSensors | None:
     if used.sum() < 2:
         return _unused("fewer than two of their readings lie within the image")
     # body axes are chosen for the model: a turn about z from those of the file
-    axes = read.modelled(read.t[used][:1]).inv() * trajectory.at(t[used][:1]).world_from_body
+    inside = np.array([0.5 * sum(modelled.span)])
+    axes = read.modelled(inside - later).inv() * modelled.at(inside).world_from_body
     t_known = read.t_earth[held] + later
     known = Rotation.from_rotvec(np.outer(t_known, TURNING)) * read.earth_from_body[held] * axes
     try:
