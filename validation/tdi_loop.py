@@ -41,6 +41,7 @@ from sightline.io.formats.tables import write_columns
 from sightline.io.results.tdi import write_choice
 from sightline.motion.band import Band
 from sightline.motion.results import LineOfSight
+from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.jitter import ConstantJitter, JitterProfile, MaternJitter
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
@@ -69,6 +70,14 @@ def profile() -> JitterProfile:
         return ConstantJitter(2.0 * size), MaternJitter(8.0 * size, 0.5, "5/2"), broadband
 
     return JitterProfile(parts(1.0), parts(1.0), parts(0.125))
+
+
+def rates_known(yaw_px: float, seconds: float, columns: int) -> KnownContent:
+    """How fast yaw may turn: of a narrow field pixels at the edge are more than the rates taken for usual.
+
+    Of a Matern 5/2 drift of so many pixels and seconds the rate has a sigma of sqrt(5/3) times their ratio.
+    """
+    return KnownContent(rate_sigma=max(2.0 * np.sqrt(5.0 / 3.0) * yaw_px / seconds / (columns - 1), 1e-3))
 
 
 def slip_of(columns: int) -> Array:
@@ -161,7 +170,8 @@ def loop(seed: int) -> dict[str, float]:
     found: dict[str, float] = {}
     detector, size = Detector(), {"lines": 1200, "columns": 390, "profile": profile()}
     first = line_of_sight_case("nominal", seed, **size)
-    before = recover_line_of_sight(first.as_given(), Plane(0.0))
+    known = rates_known(1.0, 0.5, size["columns"])
+    before = recover_line_of_sight(first.as_given(), Plane(0.0), known=known)
     statics = {s.name: s.value for s in before.statics}
     choice, _ = chosen(detector, first.as_given(), motion_knowledge(before), statics)
     columns = np.arange(size["columns"])
@@ -188,7 +198,8 @@ def loop(seed: int) -> dict[str, float]:
     bands = [replace(band, match_sigma=sigma) for band in scenario.as_given(images)]
     counts = "/".join(str(n) for n in stages[np.append(True, np.diff(stages) != 0)])
     for weighting in ("none", "predicted", "covariance"):
-        after = recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(weighting=weighting))
+        options = RecoverOptions(weighting=weighting)
+        after = recover_line_of_sight(bands, Plane(0.0), known=known, options=options)
         score = score_result(after, scenario.truth[:, 0], scenario.truth[:, 1:])
         found[weighting] = float(np.mean([axis.nees for axis in score.axes.values()]))
         ratio = merit_ratio(detector, scenario, bands, after)
@@ -227,8 +238,10 @@ def main() -> None:
         sigma = predicted_sigma(slip)
         bands = [replace(band, match_sigma=sigma) for band in scenario.as_given(images)]
         rms: dict[str, float] = {}
+        known = rates_known(2.0, 1.0, SIZE["columns"])
         for weighting in ("none", "predicted", "covariance"):
-            result = recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(weighting=weighting))
+            options = RecoverOptions(weighting=weighting)
+            result = recover_line_of_sight(bands, Plane(0.0), known=known, options=options)
             score = score_result(result, scenario.truth[:, 0], scenario.truth[:, 1:])
             rms[weighting] = float(np.sqrt(np.mean([axis.rms**2 for axis in score.axes.values()])))
             if weighting != "none":
