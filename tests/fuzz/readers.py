@@ -284,6 +284,15 @@ function("formats.products.dimap2.read_dimap2", "maker-products", "DIM_SPOT6.XML
 function("formats.products.dimap1.read_dimap1", "maker-products", "METADATA.DIM")
 function("formats.products.pleiades.read_pleiades", "maker-products", "PHRDIMAP_P1.XML")
 function("formats.products.pleiades_telemetry.read_pleiades_telemetry", "maker-products", "PHRDIMAP_P1.XML")
+for _variant in ("DIM_PNEO3.XML", "TILES.XML"):
+    function("formats.products.recognise.read_product", "product-variants", _variant)
+    command(f"init {_variant}", "product-variants", _variant, f"init @{_variant} --out @out")
+command(
+    "init raw bands",
+    "product-variants",
+    "PHRDIMAP_P1.XML raw_B0.npy",
+    "init @PHRDIMAP_P1.XML @raw_PA.npy @raw_B0.npy --out @out",
+)
 function("formats.isd_frame.read_frame_model", "sensor-model", "frame.json")
 function("formats.hirise_edr.is_hirise", "hirise", "raw.IMG")
 function("formats.hirise_edr.read_hirise_edr", "hirise", "raw.IMG")

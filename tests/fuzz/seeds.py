@@ -522,6 +522,38 @@ def maker_products(folder: Path) -> None:
 
 
 @seed
+def product_variants(folder: Path) -> None:
+    """Parts of an image in tiles, attitudes by polynomials, tiles of a WorldView, and raw bands."""
+    one = '<Data_File tile_R="1" tile_C="{0}"><DATA_FILE_PATH href="IMG_{1}_R1C{0}.TIF"/></Data_File>'
+    parts = "</Data_Files><Data_Files>".join(
+        "".join(one.format(number, part) for number in (1, 2)) for part in ("RGB", "NED")
+    )
+    size = '<Tile_Set><Regular_Tiling><NTILES_SIZE nrows="64" ncols="32"/></Regular_Tiling></Tile_Set>'
+    changes = [
+        ('<Data_File><DATA_FILE_PATH href="IMG_R1C1.TIF"/></Data_File>', parts),
+        ("<NBANDS>", f"{size}<NBANDS>"),
+    ]
+    bands = ("DB", "B", "G", "R", "RE", "NIR")
+    maker_files.dimap2(
+        folder, rows=40, columns=40, bands=bands, changes=changes, polynomials=True, name="DIM_PNEO3.XML"
+    )
+    tiles = "".join(
+        f"<TILE><FILENAME>R1C{k + 1}.TIF</FILENAME><ULROWOFFSET>0</ULROWOFFSET><ULCOLOFFSET>{32 * k}"
+        f"</ULCOLOFFSET><LRROWOFFSET>{LINES - 1}</LRROWOFFSET>"
+        f"<LRCOLOFFSET>{min(32 * k + 31, COLUMNS - 1)}</LRCOLOFFSET></TILE>"
+        for k in range(-(-COLUMNS // 32))
+    )
+    WorldViewScene(rows=LINES, columns=COLUMNS, pitch=0.05, before=0.2).xml(folder, "TILES.XML")
+    text = (folder / "TILES.XML").read_text()
+    begin, end = text.index("<TIL>"), text.index("</TIL>")
+    count = f"<NUMTILES>{-(-COLUMNS // 32)}</NUMTILES>"
+    (folder / "TILES.XML").write_text(f"{text[:begin]}<TIL>{count}{tiles}{text[end:]}")
+    maker_files.pleiades(folder, rows=40, columns=30, seconds=1.0)
+    for name, shape in {"PA": (40, 32), "B0": (10, 8)}.items():
+        np.save(folder / f"raw_{name}.npy", noise(7, shape))
+
+
+@seed
 def mirror(folder: Path) -> None:
     run(
         "simulate",
