@@ -59,7 +59,7 @@ BLOCKS = {
 }
 #: Of rendered blocks: two lines of six photographs that sway as drones do.
 RENDERED = {
-    "filter": "pan", "shape": (480, 640), "focal_length_px": 500.0, "overlap": 0.6, "frames": 6,
+    "filter": "pan", "shape": (480, 640), "focal_length_px": 500.0, "overlap": 0.55, "frames": 6,
     "flight_lines": 2, "side_overlap": 0.4, "frame_rate": 0.33, "jitter": 0.01, "position_jitter": 0.5,
     "position_sigma": GPS, "position_bias_sigma": GPS, "attitude_sigma": float(np.radians(GIMBAL)),
     "attitude_bias_sigma": float(np.radians(GIMBAL)), "spectra": "law",
@@ -310,4 +310,4 @@ def main(of_lines: int, of_blocks: int, of_rendered: int) -> None:
 
 if __name__ == "__main__":
     numbers = [int(argument) for argument in sys.argv[1:]]
-    gates.run(lambda: main(*(numbers + [60, 12, 8][len(numbers) :])), __file__)
+    gates.run(lambda: main(*(numbers + [60, 12, 4][len(numbers) :])), __file__)
