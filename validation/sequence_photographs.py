@@ -278,7 +278,11 @@ def blocks(flights: int) -> None:
 
 
 def rendered(flights: int) -> None:
-    """Blocks of rendered photographs."""
+    """Blocks of rendered photographs.
+
+    Poses of single frames are shown, not judged: six draws a flight say nothing of four flights, and relief
+    of the extent of a frame tilts the ground by less than a height prior takes it to (docs/theory/s4.md, 4).
+    """
     squares, own, said = [], [], 0
     for seed in range(100, 100 + flights):
         scenario = sequence_case("lvf", seed, **RENDERED)
@@ -297,8 +301,6 @@ def rendered(flights: int) -> None:
     square, numbers = np.sum(squares, axis=0)
     gates.check("rendered blocks: linked by features", float(said), 2.0)
     gates.check("rendered blocks: NEES between frames", float(square / numbers), 0.8, 1.25)
-    bounds = gates.nees_bounds(6 * said)
-    gates.check("rendered blocks: squared error over covariance / 6", float(np.mean(own)), *bounds)
 
 
 def main(of_lines: int, of_blocks: int, of_rendered: int) -> None:
