@@ -99,6 +99,9 @@ FOREIGN_SPECTRUM = 3.0
 SHAPE_WINDOW = (10, 32)
 #: px of all bands together that are read at once (32 MB).
 MOST_AT_ONCE = 8_000_000
+#: Cosine of the angle, 18 degrees, from which on a camera looks far off the body's z: the turn about its line
+#: of sight then holds a third of the body's angles across it.
+ASIDE = 0.95
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 #: Stages that are kept: the state after so many passes, after the last one of a wide strip, and after that
@@ -479,6 +482,7 @@ def _compensated_pass(
         near=number > 1,
         # the last pass of a wide strip asks anew, with all windows
         smoothness=not strip.draft and (number <= 1 or number == options.passes),
+        aside=bool(abs(strip.turn[2, 2]) < ASIDE),
     )
     if solved.prior.relief is not None:
         model = model.beside_relief(strip.grid.step * strip.grid.count)

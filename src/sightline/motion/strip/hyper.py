@@ -392,6 +392,7 @@ def fit_prior_model(
     settled: float = SETTLED,
     near: bool = False,
     smoothness: bool = True,
+    aside: bool = False,
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -418,6 +419,9 @@ def fit_prior_model(
     settled : float
     near, smoothness : bool
         See `estimation.likelihood.fit_spectrum`.
+    aside : bool
+        Whether the camera looks far off the body's z: the turn about its line of sight is then, where rows do
+        not show it, about as large as the angles across it.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
@@ -464,9 +468,9 @@ def fit_prior_model(
     missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
     corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
 
-    # rows do not show the turn about the line of sight: it is about as large as the angles across it
+    # rows do not show the turn about a line of sight far aside, which holds some of the body's angles across
     across = None
-    if corners[YAW] is not None:
+    if aside and corners[YAW] is not None:
         across = _larger_parts(first[0].as_found, first[PITCH].as_found, length)
 
     def shared(axis: int) -> FittedSpectrum:
