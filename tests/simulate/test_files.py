@@ -111,7 +111,6 @@ def test_a_scene_that_turns_further_than_is_taken_for_granted_says_how_well_its_
 
 
 def test_what_is_not_said_of_the_attitude_is_what_the_schema_takes_for_granted():
-    usual = KnownContent()
-    assert files.ATTITUDE_KNOWN == {"attitude_sigma": usual.attitude_sigma, "rate_sigma": usual.rate_sigma}
+    assert tuple(files.ATTITUDE_KNOWN.values()) == KnownContent().usual()
     schema = LevelFlight(kind="level-flight", altitude=1.0, ground_speed=1.0)
-    assert (schema.attitude_sigma, schema.rate_sigma) == (usual.attitude_sigma, usual.rate_sigma)
+    assert (schema.attitude_sigma, schema.rate_sigma) == (None, None)

@@ -300,7 +300,10 @@ def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownConte
     section, platform = config.known_motion, config.platform
     known = KnownContent(tuple(section.tones))
     if isinstance(platform, KnownAttitude):
-        sigma = float(np.linalg.norm([platform.attitude_sigma, *files.attitude_sigmas]))
+        sigma = platform.attitude_sigma
+        if files.attitude_sigmas:
+            usual = known.usual()[0] if sigma is None else sigma
+            sigma = float(np.linalg.norm([usual, *files.attitude_sigmas]))
         known = replace(known, attitude_sigma=sigma, rate_sigma=platform.rate_sigma)
     if section.psd is None:
         return known

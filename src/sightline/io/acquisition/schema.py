@@ -138,11 +138,15 @@ class HeaderSection(DatedSection):
 class KnownAttitude(SchemaSection):
     """How well the reference attitude of ``[platform]`` is known."""
 
-    attitude_sigma: AngleSigmaAbove0 = Field(
-        default=1e-2, description="How far constant angles may be from the reference attitude, rad"
+    attitude_sigma: AngleSigmaAbove0 | None = Field(
+        default=None,
+        description="How far constant angles may be from the reference attitude, rad; by default 0.01, that of "
+        "yaw as much more as its motion goes",
     )
-    rate_sigma: RateSigma = Field(
-        default=1e-3, description="How far even rates may be from those of the reference attitude, rad/s"
+    rate_sigma: RateSigma | None = Field(
+        default=None,
+        description="How far even rates may be from those of the reference attitude, rad/s; by default 0.001, "
+        "that of yaw as much more as its motion goes",
     )
 
 

@@ -105,7 +105,6 @@ def solve_by_control(strip: Strip) -> tuple[Strip, StripState, ControlFit]:
     assert seen is not None
     strip = replace(strip, grid=_filled(strip.grid, seen))
     grid, nothing = strip.grid, no_information(strip.grid, len(strip.parameters))
-    constant, drift = gauge(strip)
     sigmas = np.array([p.sigma for p in strip.parameters])
     # about a motion that is smooth: where one jumps from line to line, places hang on its rate
     rows = sensor_rows(strip, strip.broad, initial_attitude(strip, statics), statics)
@@ -113,7 +112,9 @@ def solve_by_control(strip: Strip) -> tuple[Strip, StripState, ControlFit]:
     _check_enough(strip, _control_of(rows))
     model, rows = _learned(strip, rows, sigmas)
     apart = model.apart(grid, TAPS) if _longest_gap(rows, grid) > ORDER else None
-    prior = JointPrior(model.processes(grid), sigmas, constant_sigma=constant, drift_sigma=drift, apart=apart)
+    angles = model.processes(grid)
+    constant, drift = gauge(strip, angles)
+    prior = JointPrior(angles, sigmas, constant_sigma=constant, drift_sigma=drift, apart=apart)
     estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
     if strip.sensors:
         # control points have weights by what the others say of them

@@ -6,12 +6,14 @@ Not here: where matches come from and how often (``applications/line_of_sight.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.estimation.prior import Autoregressive
 from sightline.motion.measure.consensus import ground_weights
 from sightline.motion.measure.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.measure.observations import Star, shared_image_correlation
@@ -145,8 +147,9 @@ def solve_strip(
     orders = ordered_ground([s.t_hub[s.present.any(axis=1)] for s in stars], delays, grid)
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
-    constant, drift = gauge(strip)
-    prior = JointPrior(model.processes(grid), sigmas, constant_sigma=constant, drift_sigma=drift)
+    angles = model.processes(grid)
+    constant, drift = gauge(strip, angles)
+    prior = JointPrior(angles, sigmas, constant_sigma=constant, drift_sigma=drift)
     alike = model.alike(strip.scale, grid.step * grid.count)
     ample_angles = alike.processes(grid)
     length = before.relief_length if before is not None else 2.0 * strip.half_width
@@ -257,13 +260,29 @@ def _moved(stars: Sequence[Star], before: Sequence[Array], after: Sequence[Array
     return float(np.sqrt(total / max(count, 1)))
 
 
-def gauge(strip: Strip) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """How far constants and even drifts may lie from the reference attitude, as it is known."""
-    half = 0.5 * strip.grid.step * (strip.grid.count - 1)
-    known = strip.known.attitude_sigma, half * strip.known.rate_sigma
+def gauge(
+    strip: Strip, angles: tuple[Autoregressive, Autoregressive, Autoregressive]
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """How far constants and even drifts may lie from the reference attitude, as it is known.
+
+    Where nothing is given, yaw may have as large a mean and drift as the process of its motion, one of
+    `angles`, has of itself: that of a narrow field is seen in pixels of its edge, and so goes ten times as far
+    and as fast as that of a wide one.
+    """
+    count = strip.grid.count
+    half = 0.5 * strip.grid.step * (count - 1)
+    usual, given = strip.known.usual(), (strip.known.attitude_sigma, strip.known.rate_sigma)
+    u = np.linspace(-1.0, 1.0, count)
+    shapes = np.full(count, 1.0 / count), u / (u @ u)
+    yaw = [
+        max(sigma, math.sqrt(angles[2].variance_of(shape)) if stated is None else 0.0)
+        for sigma, stated, shape in zip((usual[0], half * usual[1]), given, shapes, strict=True)
+    ]
     constant, drift = (
-        (min(usual[0], sigma), min(usual[1], sigma), sigma)
-        for usual, sigma in zip((CONSTANT_SIGMA, DRIFT_SIGMA), known, strict=True)
+        (min(held[0], sigma), min(held[1], sigma), turn)
+        for held, sigma, turn in zip(
+            (CONSTANT_SIGMA, DRIFT_SIGMA), (usual[0], half * usual[1]), yaw, strict=True
+        )
     )
     return constant, drift
 

@@ -55,6 +55,9 @@ MOST_ACROSS = 0.5
 #: .13, .09 and .18, the mean square of three sets of phases. To third order they would be 4.1, 4.8, 5.5: half
 #: a pixel is beyond that, and an axis shows of the modes of others (yaw those of pitch, most).
 DETAIL = (7.6, 4.7, 12.5)
+#: rad and rad/s; how far constant angles and even rates may be from the reference attitude where nothing is
+#: given.
+ATTITUDE_SIGMA, RATE_SIGMA = 1e-2, 1e-3
 #: Fewest rows of windows that tell of a pair's differences.
 FEWEST_ROWS = 8
 
@@ -222,15 +225,21 @@ class KnownContent:
         Hz; tones of any axis that are there whether the images show them or not.
     spectra : three Spectrum or None
         Of roll, pitch, yaw (rad): taken as they are, nothing is fitted.
-    attitude_sigma, rate_sigma : float
+    attitude_sigma, rate_sigma : float or None
         rad and rad/s; how far constant angles, and even rates, may be from the reference attitude. They bound
-        what no image sees.
+        what no image sees. None, where nothing is given: ATTITUDE_SIGMA and RATE_SIGMA, and of yaw as much
+        more as the motion goes that is found.
     """
 
     tones: tuple[float, ...] = ()
     spectra: tuple[Spectrum, Spectrum, Spectrum] | None = None
-    attitude_sigma: float = 1e-2
-    rate_sigma: float = 1e-3
+    attitude_sigma: float | None = None
+    rate_sigma: float | None = None
+
+    def usual(self) -> tuple[float, float]:
+        """What is given of both; where nothing is, what is taken for granted."""
+        angle, rate = self.attitude_sigma, self.rate_sigma
+        return ATTITUDE_SIGMA if angle is None else angle, RATE_SIGMA if rate is None else rate
 
 
 def angle_differences(

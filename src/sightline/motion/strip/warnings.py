@@ -169,12 +169,12 @@ def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]
             said.append(
                 f"{parameter.name} is {value:.3g} {parameter.unit}".rstrip() + f" ({ratio:.2g} sigmas)"
             )
-    known = strip.known
+    usual = strip.known.usual()
     t = motion.t - motion.t.mean()
     lines = np.polynomial.polynomial.polyfit(t, motion.angles, 1) if len(t) > 1 else motion.angles
     kinds = (
-        ("a constant {} of {:.3g} rad", known.attitude_sigma),
-        ("an even rate of {} of {:.3g} rad/s", known.rate_sigma),
+        ("a constant {} of {:.3g} rad", usual[0]),
+        ("an even rate of {} of {:.3g} rad/s", usual[1]),
     )
     for (words, sigma), values in zip(kinds, lines, strict=False):
         for axis, value in zip(("roll", "pitch", "yaw"), values.tolist(), strict=True):
