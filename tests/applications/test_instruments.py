@@ -106,8 +106,7 @@ def test_lines_that_look_past_the_limb_are_not_observed_and_nothing_breaks(tmp_p
 def test_a_body_given_in_other_axes_moves_the_same(tmp_path):
     """A camera that looks 20 degrees off its body's z: the same images, the motion about other axes.
 
-    Both are estimated about the line of sight: less what is hidden they differ by far less than a sigma. Two
-    passes: a spectrum that is fitted in the first holds the error of its linearisation, unlike in both.
+    Both are estimated about the line of sight: less what is hidden they differ by far less than a sigma.
     """
     scenario = instrument_case("pushbroom", 1, lines=400, columns=220)
     images = [ArrayImage(scenario.image(k)) for k in range(4)]
@@ -115,7 +114,7 @@ def test_a_body_given_in_other_axes_moves_the_same(tmp_path):
 
     def solved(cameras):
         bands = [Band(f"b{k}", i, c, 1.0, 3e-4) for k, (i, c) in enumerate(zip(images, cameras, strict=True))]
-        return recover_line_of_sight(bands, Ellipsoid(), options=RecoverOptions(passes=2))
+        return recover_line_of_sight(bands, Ellipsoid(), options=RecoverOptions(passes=1))
 
     along = solved(scenario.nominal_cameras)
     tilted = solved([in_axes(camera, turn) for camera in scenario.nominal_cameras])

@@ -208,7 +208,7 @@ def fit_spectrum(
         begins = _begins(search, _guesses(inside, grid), given, anew=max_tones > 0)
     first = FIRST_ITERATIONS if max_tones > 0 or near else iterations
     begun = [search.improve(search.with_given_tones(one, known_tones), first, ROUGHLY) for one in begins]
-    model = min(begun, key=search.cost) if len(begun) > 1 else begun[0]
+    model = min(begun, key=search.deviance) if len(begun) > 1 else begun[0]
     begun_with = len(model.tones)
     for _ in range(max_tones - begun_with):
         found = search.unexplained_tones(model, false_alarm)
@@ -222,7 +222,7 @@ def fit_spectrum(
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
     model = search.without_products(search.without_idle_tones(model))
-    model = search.improve(model, iterations, settled)
+    model = search.improve(model, iterations, settled, adjusted=True)
     known = [Tone(model.drift.sigma, f, search.narrow(f)) for f in known_tones]
     model = search.with_possible_tones(
         model, [*known, *(replace(one, sigma=one.sigma / unit) for one in possible)], false_alarm

@@ -83,7 +83,7 @@ TONE_SIZE, TONE_WIDTH = 40.0, 8.0
 #: What steps of the drift's size and time scale are held back by.
 DRIFT_RIDGE = 10.0
 #: The likelihood is multiplied by so many powers of the drift's standard deviation: by its variance (see
-#: `Search.cost`).
+#: `Search._adjusted`).
 ADJUSTED = 2.0
 #: A part of a motion is shown where a size half as large again, and one as much smaller, raise the deviance
 #: by this much (Akaike's price of a parameter, twice); sizes are looked at so many to a factor of e.
@@ -223,20 +223,6 @@ class Search:
         """-2 log evidence of a model."""
         return self.posterior(model).deviance
 
-    def cost(self, model: NoiseModel) -> float:
-        """Deviance, with what makes a drift that few periods tell of no smaller than it may be.
-
-        Notes
-        -----
-        Of a drift a short strip shows a handful of bends. A variance that maximises the likelihood of so few
-        is as often far too small as too large, even none at all, and an estimate under a drift of no size is
-        certain of what it did not see; one under a drift that is too large only loses what the prior would
-        have told. So the likelihood is multiplied by the variance of the bend, which keeps what the prior is
-        believed unbiased to first order (Morris and Tang 2011, Statistical Science 26: adjustment for density
-        maximisation): among n bends that are clearly seen the variance is their sum of squares over n - 2.
-        """
-        return self.deviance(model) - 2.0 * ADJUSTED * math.log(model.drift.bend(self._length))
-
     # -- parameters as one vector: logarithms, and frequencies in units of 3 / length ---------------
 
     def _vector(self, model: NoiseModel) -> Array:
@@ -279,11 +265,14 @@ class Search:
         bounds.append((math.log(0.2), math.log(5.0)) if self._fit_noise else (0.0, 0.0))
         return bounds
 
-    def improve(self, model: NoiseModel, iterations: int, gain: float = SETTLED) -> NoiseModel:
+    def improve(
+        self, model: NoiseModel, iterations: int, gain: float = SETTLED, *, adjusted: bool = False
+    ) -> NoiseModel:
         """The best model within some iterations from `model`; never worse than it.
 
         Quasi-Newton steps that begin with the expected curvature (`_curvature`). The search ends with the
-        first step that lowers the deviance by less than `gain`.
+        first step that lowers the deviance by less than `gain`. `adjusted`: no drift is smaller than it may
+        be, see `_adjusted`; for the end of a search: on its way drift and broadband part could change places.
         """
         origin = model
         bounds = np.array(self._bounds(model))
@@ -302,16 +291,29 @@ class Search:
                 value, slope = self._value_and_slope(self._model(x, origin))
             except (EstimationError, InputError):
                 return math.inf, np.zeros_like(x)
-            adjusted, more = self._adjusted(x)
             away = x - centre
-            return value + adjusted + float(pull @ away**2), slope + more + 2.0 * pull * away
+            value, slope = value + float(pull @ away**2), slope + 2.0 * pull * away
+            if adjusted:
+                more, turned = self._adjusted(x)
+                value, slope = value + more, slope + turned
+            return value, slope
 
         begin = self._model(x, origin)
         curvature = self._curvature(begin) + 2.0 * np.diag(pull + 1e-3)
         return self._model(descend_within(objective, x, bounds, curvature, iterations, gain), origin)
 
     def _adjusted(self, x: Array) -> tuple[float, Array]:
-        """What `cost` adds to the deviance, and its derivatives."""
+        """What keeps a drift that few bends tell of from being none, and its derivatives.
+
+        Notes
+        -----
+        Of a drift a short strip shows a handful of bends. A variance that maximises the likelihood of so few
+        is as often far too small as too large, even none at all, and an estimate under a drift of no size is
+        certain of what it did not see; one under a drift that is too large only loses what the prior would
+        have told. So the likelihood is multiplied by the variance of the bend, which keeps what the prior is
+        believed unbiased to first order (Morris and Tang 2011, Statistical Science 26: adjustment for density
+        maximisation): among n bends that are clearly seen the variance is their sum of squares over n - 2.
+        """
 
         def of(log_timescale: float) -> float:
             return -2.0 * ADJUSTED * math.log(Matern(1.0, math.exp(log_timescale), "5/2").bend(self._length))

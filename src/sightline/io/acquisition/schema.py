@@ -140,13 +140,13 @@ class KnownAttitude(SchemaSection):
 
     attitude_sigma: AngleSigmaAbove0 | None = Field(
         default=None,
-        description="How far constant angles may be from the reference attitude, rad; by default 0.01, that of "
-        "yaw as much more as its motion goes",
+        description="How far constant angles may be from the reference attitude, rad; by default 0.01, "
+        "that of yaw as much more as its motion goes",
     )
     rate_sigma: RateSigma | None = Field(
         default=None,
-        description="How far even rates may be from those of the reference attitude, rad/s; by default 0.001, "
-        "that of yaw as much more as its motion goes",
+        description="How far even rates may be from those of the reference attitude, rad/s; by default "
+        "0.001, that of yaw as much more as its motion goes",
     )
 
 

@@ -266,8 +266,8 @@ def gauge(
     """How far constants and even drifts may lie from the reference attitude, as it is known.
 
     Where nothing is given, yaw may have as large a mean and drift as the process of its motion, one of
-    `angles`, has of itself: that of a narrow field is seen in pixels of its edge, and so goes ten times as far
-    and as fast as that of a wide one.
+    `angles`, has of itself: that of a narrow field is seen in pixels of its edge, and so goes ten times as
+    far and as fast as that of a wide one.
     """
     count = strip.grid.count
     half = 0.5 * strip.grid.step * (count - 1)
