@@ -36,6 +36,9 @@ def write_cloud_mask(pixels: np.ndarray, path: Path) -> Path:
 
 def main() -> None:
     """Write acquisition.toml, positions.csv and the masks, and say how the camera was turned."""
+    if {"-h", "--help"} & set(sys.argv):
+        print(__doc__)
+        sys.exit()
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="iss-frames-"))
     photos = sorted((DATA / "iss_astropi_a").glob("*.jpg"))
     if not photos:

@@ -30,6 +30,9 @@ principal_point_px = [443.4, 664.2]\ndistortion = [0.0172, 0.0262, -0.00048, 0.0
 # px: what the lens leaves unexplained; m: scatter of positions; rad: of the station about its mean attitude
 NOISE = "sigma_px = 0.1\nsigma_position = 100.0\nsigma_attitude = 1e-3"
 
+if {"-h", "--help"} & set(sys.argv):
+    print(__doc__)
+    sys.exit()
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="iss-stereo-"))
 photos = sorted((DATA / "iss_astropi_a").glob("*.jpg"))
 if not photos:

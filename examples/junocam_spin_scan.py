@@ -22,6 +22,9 @@ DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 
 def main() -> None:
     """Prepare, recover, register; say what was found."""
+    if {"-h", "--help"} & set(sys.argv):
+        print(__doc__)
+        sys.exit()
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="junocam-"))
     name = sys.argv[2] if len(sys.argv) > 2 else "44C00030"
     folder = DATA / "junocam_spin_scan"

@@ -60,6 +60,9 @@ def expected(bands, found) -> float:
 
 
 if __name__ == "__main__":
+    if {"-h", "--help"} & set(sys.argv):
+        print(__doc__)
+        sys.exit()
     out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp(prefix="sentinel2-"))
     out.mkdir(parents=True, exist_ok=True)
     if not (crops := sorted(DATA.glob("*.tif"))):
