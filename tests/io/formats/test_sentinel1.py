@@ -87,6 +87,8 @@ def test_rates_in_other_axes_are_doubted(tmp_path):
 def test_what_is_wrong_is_named(change, said, tmp_path):
     with pytest.raises(FormatError, match=said):
         read_sentinel1_attitude(table(tmp_path / "a.csv", change), EPOCH)
+    with pytest.raises(FormatError, match="holds one attitude"):
+        read_sentinel1_attitude(table(tmp_path / "a.csv", rows=1), EPOCH)
     with pytest.raises(FormatError, match="epoch"):
         read_orbit(table(tmp_path / "b.csv"), None)
 
@@ -126,6 +128,22 @@ def test_rates_are_a_gyro_beside_the_quaternions(real_data, tmp_path):
     path.write_text(f'{without}[[attitude_sensor]]\nkind = "star-tracker"\ntable = "{table}"\n')
     with pytest.raises(FormatError, match='read as kind = "gyro" beside Earth-fixed attitudes'):
         load_acquisition(path)
+
+
+def test_rates_that_contradict_the_quaternions_are_no_gyro(real_data, tmp_path):
+    pytest.importorskip("erfa")
+    folder = real_data("sentinel1_attitude")
+    path = strip_along(folder, tmp_path)
+    rows = [line.split(",") for line in (folder / FILE.format("attitude")).read_text().splitlines()]
+    path.write_text(f'{path.read_text()}[[attitude_sensor]]\nkind = "gyro"\ntable = "gyro.csv"\n')
+    # quaternions that stand still: what both leave of each other is even, and an Allan deviation hides it
+    still = [rows[0], *([*row[:2], *rows[1][2:6], *row[6:]] for row in rows[1:])]
+    # further than a float's square
+    wild = [rows[0], *([*row[:6], "1e300", *row[7:]] for row in rows[1:])]
+    for given, said in ((still, "contradict each other by 0.00"), (wild, "by 1e"), (rows[:3], "three or more")):
+        (tmp_path / "gyro.csv").write_text("".join(",".join(row) + "\n" for row in given))
+        with pytest.raises(FormatError, match=said):
+            load_acquisition(path)
 
 
 def test_a_platform_takes_both_tables(real_data, tmp_path, capsys):

@@ -281,13 +281,16 @@ def _rates_of_sentinel1(
     read = read_sentinel1_attitude(path, need_epoch(path, config.acquisition.epoch))
     begin, end = reference.span
     used = (read.t >= begin) & (read.t <= end)
-    if used.sum() < 2:
+    if used.sum() < 3:
         raise FormatError(
             f"{path}: {int(used.sum())} of its rates lie within the attitudes of [platform], from "
-            f"{begin:.6g} to {end:.6g} s; two or more are needed: is it of another pass, or epoch?"
+            f"{begin:.6g} to {end:.6g} s; three or more are needed: is it of another pass, or epoch?"
         )
-    if read.doubt:
-        files.doubts.append(f"{path.name}: {read.doubt}")
+    if read.contradicted:
+        raise FormatError(
+            f"{path}: {read.contradicted}; rates that agree with the quaternions are read as a gyro: "
+            "correct the table, or leave this [[attitude_sensor]] out"
+        )
     t = read.t[used]
     angles = departures(t, read.turned[used], reference.at(t).world_from_body, TURNING)
     sigma, words = read.noise()

@@ -82,14 +82,19 @@ class Sentinel1Attitude:
         )
 
     @property
-    def doubt(self) -> str:
-        """What is said where rates and quaternions contradict each other; else empty."""
+    def contradicted(self) -> str:
+        """By how much rates and quaternions contradict each other, where they do; else empty."""
         if np.abs(self.apart).max() <= _AGREE:
             return ""
         return (
             f"its rates and its quaternions contradict each other by {np.abs(self.apart).max():.2g} rad/s "
-            "(5e-6 in real files): one of both is in other axes, or of other times; the quaternions are used"
+            "(5e-6 in real files): one of both is in other axes, or of other times"
         )
+
+    @property
+    def doubt(self) -> str:
+        """What is said of that where attitudes are read; else empty."""
+        return f"{self.contradicted}; the quaternions are used" if self.contradicted else ""
 
 
 def is_sentinel1(path: Path) -> bool:
@@ -113,9 +118,11 @@ def read_sentinel1_attitude(path: Path, epoch: str) -> Sentinel1Attitude:
     Raises
     ------
     FormatError
-        If it is in axes that are not read, or no quaternions.
+        If it is in axes that are not read, has no quaternions, or a single row.
     """
     t, values = _table(path, epoch, _ATTITUDE, _INERTIAL)
+    if len(t) < 2:
+        raise FormatError(f"{path}: holds one attitude; two or more are needed, before and after the images")
     body = Rotation.from_quat(check_quaternions(path, values[:, :4]))
     attitude, rates = body * _RATES_FROM_BODY.inv(), values[:, 4:]
     turned = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / np.diff(t)[:, None]
