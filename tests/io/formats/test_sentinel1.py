@@ -140,7 +140,8 @@ def test_rates_that_contradict_the_quaternions_are_no_gyro(real_data, tmp_path):
     still = [rows[0], *([*row[:2], *rows[1][2:6], *row[6:]] for row in rows[1:])]
     # further than a float's square
     wild = [rows[0], *([*row[:6], "1e300", *row[7:]] for row in rows[1:])]
-    for given, said in ((still, "contradict each other by 0.00"), (wild, "by 1e"), (rows[:3], "three or more")):
+    wrong = ((still, "contradict each other by 0.00"), (wild, "by 1e"), (rows[:3], "three or more"))
+    for given, said in wrong:
         (tmp_path / "gyro.csv").write_text("".join(",".join(row) + "\n" for row in given))
         with pytest.raises(FormatError, match=said):
             load_acquisition(path)
