@@ -339,9 +339,8 @@ def read_text(path: Path, what: str, *, most: int = TABLE, advice: str = "check 
 def refuse_utf16(path: Path, content: bytes) -> None:
     """FormatError where text begins with a byte order mark of UTF-16, or with Latin letters of 16 bits."""
     head = content[:4]
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff") or (
-        len(head) == 4 and (head[1::2] == b"\0\0") != (head[::2] == b"\0\0")
-    ):
+    latin = len(head) == 4 and any(head[k::2] == b"\0\0" and all(head[1 - k :: 2]) for k in (0, 1))
+    if latin or head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise FormatError(f"{path}: is text in UTF-16; text in UTF-8 is expected: save it as UTF-8")
 
 

@@ -675,7 +675,8 @@ class Search:
         for part in np.array_split(np.flatnonzero(within), max(int(within.sum()) // CANDIDATES, 1)):
             gain[part], _, information[part] = self._exact_gain(now, now.score, f[part])
         # a sinusoid half a step beside is seen by a fifth less: too much to tell it from an alias
-        for k in np.argsort(-gain)[:CREST]:
+        crest = np.argsort(-gain)[:CREST]
+        for k in crest[within[crest]]:
             near = f[k] + cell * stride * np.linspace(-0.5, 0.5, 9)
             gains, _, informations = self._exact_gain(now, now.score, near)
             best = int(np.argmax(gains))
