@@ -125,6 +125,14 @@ def test_rates_are_a_gyro_beside_the_quaternions(real_data, tmp_path):
     # increments of 1 s whose errors are no less than that
     assert 5e-7 < gyro.sigma[0] < 5e-6
     assert "Allan deviation" in next(line for line in acquisition.sources if "as a gyro" in line)
+    # where a row is missing the random walk goes on for twice as long; rows are microseconds off 1 s
+    rows = table.read_text().splitlines(keepends=True)
+    first = 1 + int(np.argmin(np.abs(read_sentinel1_attitude(table, EPOCH).t - gyro.t_end[0])))
+    fewer = tmp_path / "fewer.csv"
+    fewer.write_text("".join(rows[:first] + rows[first + 1 :]))
+    path.write_text(f'{without}[[attitude_sensor]]\nkind = "gyro"\ntable = "{fewer}"\n')
+    sigma = load_acquisition(path).sensors[0].sigma
+    assert sigma[0] == pytest.approx(np.sqrt(2.0) * sigma[1], rel=1e-4)
     path.write_text(f'{without}[[attitude_sensor]]\nkind = "star-tracker"\ntable = "{table}"\n')
     with pytest.raises(FormatError, match='read as kind = "gyro" beside Earth-fixed attitudes'):
         load_acquisition(path)

@@ -55,6 +55,7 @@ from sightline.io.formats.ccsds import need_epoch
 from sightline.io.formats.line_scan import shared_grid
 from sightline.io.formats.products.makers import TURNING
 from sightline.io.formats.sentinel1 import is_sentinel1, read_sentinel1_attitude
+from sightline.io.quantities import ANGLE_SIGMA
 from sightline.matching.select import Selection
 from sightline.motion.frames.passes import FrameOptions
 from sightline.motion.gyros import departures
@@ -294,8 +295,14 @@ def _rates_of_sentinel1(
     t = read.t[used]
     angles = departures(t, read.turned[used], reference.at(t).world_from_body, TURNING)
     sigma, words = read.noise()
+    if sigma < ANGLE_SIGMA.least:
+        raise FormatError(
+            f"{path}: its rates are the turns between its quaternions, whose errors they do not show: leave "
+            "this [[attitude_sensor]] out"
+        )
     files.said.append(f"{path.name}: {words}")
-    return t[:-1], t[1:], angles, np.full(len(angles), sigma)
+    # a random walk, also where rows are missing
+    return t[:-1], t[1:], angles, sigma * np.sqrt(np.diff(t) / np.median(np.diff(read.t)))
 
 
 def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownContent:
