@@ -92,6 +92,17 @@ def test_a_product_that_tells_no_lags_does_not_serve_raw_bands(images):
     assert "tells no lags of bands in sensor geometry" in said
 
 
+@pytest.mark.parametrize("period", ["0", "-0.1034", "1e-300"])
+def test_a_line_period_that_is_none_is_said_of_the_product(images, period):
+    path = maker.pleiades(images)
+    text = path.read_text()
+    start = text.index(">", text.index("<PA_LINE_PERIOD")) + 1
+    path.write_text(text[:start] + period + text[text.index("</PA_LINE_PERIOD") :])
+    bands = [images / "raw_PA.npy", images / "raw_B0.npy"]
+    status, said = said_by("init", path, *bands, "--out", images / "acq")
+    assert status == 2 and "/PA_LINE_PERIOD" in said and path.name in said
+
+
 def test_fields_that_do_not_agree_are_refused(images):
     np.save(images / "narrow_B3.npy", np.zeros((160, 100), np.uint16))
     bands = [images / "raw_PA.npy", images / "narrow_B3.npy"]

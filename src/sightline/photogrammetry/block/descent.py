@@ -562,5 +562,5 @@ def _scale(statistic: Array) -> float:
 DIVERGED = (
     "the adjustment does not converge: the matches do not belong to the planned poses, or these are off by "
     "far more than [noise] says; check the camera numbers of the matches, (line, column) order, focal "
-    "length, mount and quaternions (scalar last)"
+    "length, mount and quaternions (scalar last), axes and order of x, y, z of control points"
 )

@@ -105,7 +105,7 @@ def _raw(data: Part, start: str) -> RawBands | None:
     if _PANCHROMATIC not in first:
         raise data.refused(f"{stamp}/Band_TS_List", f"holds no {_PANCHROMATIC}")
     lags = {name: t - first[_PANCHROMATIC] for name, t in sorted(first.items(), key=lambda item: item[1])}
-    return RawBands(lags, float(scaled(data, f"{stamp}/PA_LINE_PERIOD", _MILLISECONDS)[0]))
+    return RawBands(lags, line_period(data, f"{stamp}/PA_LINE_PERIOD", _MILLISECONDS))
 
 
 def pleiades_orbit(data: Part, start: str) -> Orbit:
