@@ -185,7 +185,8 @@ def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]
     return [
         f"far from what was given: {', '.join(said)}; check ifov or directions, look_ahead, rotation, line "
         "times and attitudes, or the sigmas that are stated of them ([platform] attitude_sigma and "
-        "rate_sigma are 0.01 rad and 0.001 rad/s where they are not given)"
+        "rate_sigma are 0.01 rad and 0.001 rad/s where they are not given; yaw is then let go as far as its "
+        "motion does)"
     ]
 
 
