@@ -140,7 +140,8 @@ def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before,
         return -1
     if len(places):
         if before == row:
-            w[0] = w[1]
+            for k in range(8):  # a whole row at once would compile the words of an error with it
+                w[0, k] = w[1, k]
         else:
             _fill_uneven_weights(places, row, l0, shares[0], flat, work, w[0])
         _fill_uneven_weights(places, row, l1, shares[1], flat, work, w[1])

@@ -427,10 +427,9 @@ def refine_windows(  # type: ignore[no-untyped-def]
         out[w, 8] = (s[9] - gone) / max(count - 4.0, 1.0)
         out[w, 9] = _product(a, b, m, n) / np.sqrt(var_a * var_b)
         _block_sums(a, b, m, gay, gax, gby, gbx, gain, height, width, blocks, row, sums)
-        _block_variance(sums, blocks, 0, pair)
-        out[w, 10], out[w, 11] = pair[0], pair[1]
-        _block_variance(sums, blocks, 1, pair)
-        out[w, 12], out[w, 13] = pair[0], pair[1]
+        for k in range(2):
+            _block_variance(sums, blocks, k, pair)
+            out[w, 10 + 2 * k], out[w, 11 + 2 * k] = pair[0], pair[1]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
