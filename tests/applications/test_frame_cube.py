@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -12,12 +13,14 @@ from cube_flights import flight, problem_of, true_poses
 from sightline.applications.frame_cube import CubeSummary, assemble_cube, found_views
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import FormatError, InputError
+from sightline.execution import threads_limited
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.products.cube_ground import choose_ground
 from sightline.products.cube_plan import CubePlan, map_of
 from sightline.products.cube_store import MemoryStore
+from sightline.products.frame_cube import CubeMaker
 from sightline.simulate.sequence import SequenceScenario
 
 QUICK = CubePlan(picture=False, fit=False)
@@ -65,6 +68,26 @@ def test_pixels_of_a_line_filter_are_what_their_band_sees_at_their_place(lvf):
     assert summary.coverage.min() == 1.0
     # steps of 4.8 px, jitter and bands of 8 lines leave few gaps
     assert summary.passed.min() > 0.9
+
+
+def test_two_threads_work_at_once_and_make_the_same_bits(lvf, monkeypatch):
+    scenario, problem = lvf
+    found = true_poses(scenario)
+    monkeypatch.setattr("sightline.products.frame_cube._TILE_SIDES", (64, 64))
+    with threads_limited(1):
+        _, alone = made(problem, found)
+    together, filled, left = Barrier(2, timeout=60.0), CubeMaker._filled, iter(range(2))
+
+    def met(*arguments):
+        if next(left, None) is not None:  # the first two tiles wait for one another
+            together.wait()
+        return filled(*arguments)
+
+    monkeypatch.setattr(CubeMaker, "_filled", met)
+    with threads_limited(2):
+        _, both = made(problem, found)
+    assert next(left, None) is None
+    np.testing.assert_array_equal(both, alone)
 
 
 def test_noise_is_all_that_is_wrong_where_filters_have_steps():

@@ -13,7 +13,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.products.cube_bands import frame_bands, line_bands
 from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
-from sightline.products.cube_kernels import PHASES, fill_bands, place_weights, see_places
+from sightline.products.cube_kernels import PHASES, cells_by_phase, fill_bands, place_weights, see_places
 from sightline.products.cube_tally import CubePicture, picture_bands, picture_factor
 from sightline.products.frame_cube import FilledTile, MapTile, line_gain
 from sightline.products.ground_model import GroundModel, fit_ground
@@ -208,7 +208,8 @@ def filled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """One band of a plain image at pixels (N, 2)."""
     out = np.full((1, len(pixels)), np.nan, dtype=np.float32)
     fill_bands(
-        np.arange(len(pixels), dtype=np.int32), pixels, image, np.zeros(image.shape, dtype=bool), np.zeros(2),
+        np.arange(len(pixels), dtype=np.int32), pixels,
+        *cells_by_phase(image, np.zeros(image.shape, dtype=bool), (1, 1)), np.zeros(2),
         np.array([1, 1]), np.array([0, 1]), np.array([0]), np.zeros((1, 2), dtype=int),
         np.ones(1, dtype=np.float32), place_weights(), 0.02, out,
     )  # fmt: skip
@@ -255,8 +256,8 @@ def test_each_cell_of_a_mosaic_is_read_where_it_lies():
     pixels = corner + np.array([[49.3, 71.0], [40.0, 73.6], [57.75, 64.2]])
     out = np.full((6, 3), np.nan, dtype=np.float32)
     fill_bands(
-        np.arange(3, dtype=np.int32), pixels, image, bad, corner, np.array([2, 3]), np.array([0, 6]),
-        np.arange(6), phase, np.ones(6, dtype=np.float32), place_weights(), 0.02, out,
+        np.arange(3, dtype=np.int32), pixels, *cells_by_phase(image, bad, (2, 3)), corner, np.array([2, 3]),
+        np.array([0, 6]), np.arange(6), phase, np.ones(6, dtype=np.float32), place_weights(), 0.02, out,
     )  # fmt: skip
     found = np.array([plane(band, *(pixels - corner).T) for band in range(6)])
     spoiled = np.zeros((6, 3), dtype=bool)

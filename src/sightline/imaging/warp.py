@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sightline.compiled import njit
 from sightline.geometry.checks import read_only
-from sightline.geometry.interpolation import interpolate, unit_weights
+from sightline.geometry.interpolation import POINTS, interpolate, unit_weights
 from sightline.imaging.resample import TAPS, fill_weights, kernel_table, sample_at
 from sightline.imaging.source import ImageSource
 
@@ -34,6 +34,8 @@ _LATTICE = 8.0
 #: px by which a map may bend away from a straight line between the places where it is evaluated, where these
 #: are farther apart than asked for.
 STRAIGHT = 5e-4
+#: px up to which cubics through every fourth of these places are as good, and lines that show it.
+CUBIC, SHOWN = 1e-5, 5
 #: Spacing (columns) of maps that are smooth.
 SMOOTH = 64
 #: Columns on either side of a rough one at which the map is evaluated more often.
@@ -322,10 +324,26 @@ class WarpedImage:
                 about = np.rint(np.array(self.rough)[:, None] + np.arange(-ROUGH, ROUGH + 1, 2))
                 about = about.astype(np.int64)
                 nodes = np.union1d(nodes, about[(about > columns[0]) & (about < columns[1])])
-            position = self.mapping(rows, nodes.astype(np.float64))
+            position = self._mapped(rows, nodes.astype(np.float64))
             if spacing == self.spacing or self._straight(nodes, position):
                 break
         return nodes, position
+
+    def _mapped(self, rows: Array, nodes: Array) -> Array:
+        """The map on lines `rows` at columns `nodes`, (lines, columns, 2).
+
+        Exactly at every fourth place only, and by cubics between them, where some lines show that these are
+        as good: the lines of a smooth map are alike but for how they are moved and turned.
+        """
+        few = np.linspace(nodes[0], nodes[-1], len(nodes) // 4 + 1)
+        if self.spacing >= SMOOTH and len(few) >= POINTS and not len(self.rough) and len(rows) > 2 * SHOWN:
+            shown = rows[np.linspace(0, len(rows) - 1, SHOWN).astype(int)]
+            apart = np.abs(_between(few, self.mapping(shown, few), nodes) - self.mapping(shown, nodes))
+            if apart.max() < CUBIC:  # not where any is NaN
+                position = _between(few, self.mapping(rows, few), nodes)
+                if np.isfinite(position).all():
+                    return position
+        return self.mapping(rows, nodes)
 
     @staticmethod
     def _straight(nodes: NDArray[np.int64], position: Array) -> bool:
@@ -355,6 +373,13 @@ class WarpedImage:
     def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.bool_] | None:
         """None: unusable pixels are NaN in `read`."""
         return None
+
+
+def _between(few: Array, values: Array, nodes: Array) -> Array:
+    """Positions (lines, columns, 2) at `nodes` of those known at `few` columns."""
+    turned = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(len(few), -1)
+    out = interpolate(few, turned, nodes).reshape(len(nodes), -1, 2)
+    return np.ascontiguousarray(out.transpose(1, 0, 2))
 
 
 def _hit(bad: NDArray[np.bool_], position: Array, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:

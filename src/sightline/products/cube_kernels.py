@@ -192,27 +192,28 @@ def _one_sided(place, first):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
+def _value(image, bad, rows, columns, line, column, table, wq):  # type: ignore[no-untyped-def]
     """The image at a place; and how much pixels that cannot be used weigh in it.
 
-    Near a border, where the taps lie on one side, values beyond those of the pixels around are cut.
+    Its first `rows` and `columns` hold pixels; `wq` (TAPS,) is scratch. Near a border, where the taps lie on
+    one side, values beyond those of the pixels around are cut.
     """
-    r0 = min(max(int(np.floor(line)) - (TAPS // 2 - 1), 0), image.shape[0] - TAPS)
-    c0 = min(max(int(np.floor(column)) - (TAPS // 2 - 1), 0), image.shape[1] - TAPS)
+    r0 = min(max(int(np.floor(line)) - (TAPS // 2 - 1), 0), rows - TAPS)
+    c0 = min(max(int(np.floor(column)) - (TAPS // 2 - 1), 0), columns - TAPS)
     p = min(max((line - r0) * PHASES, 0.0), table.shape[0] - 1.001)
     q = min(max((column - c0) * PHASES, 0.0), table.shape[0] - 1.001)
     ip, iq = int(p), int(q)
     sp, sq = np.float32(p - ip), np.float32(q - iq)
-    wq = np.empty(TAPS, np.float32)
+    here, further = table[iq], table[iq + 1]
     for m in range(TAPS):
-        wq[m] = table[iq, m] + sq * (table[iq + 1, m] - table[iq, m])
+        wq[m] = here[m] + sq * (further[m] - here[m])
     total = np.float32(0.0)
     weight = np.float32(0.0)
     for k in range(TAPS):
         wp = table[ip, k] + sp * (table[ip + 1, k] - table[ip, k])
-        part = np.float32(0.0)
+        part, pixels = np.float32(0.0), image[r0 + k, c0 : c0 + TAPS]
         for m in range(TAPS):
-            part += wq[m] * image[r0 + k, c0 + m]
+            part += wq[m] * pixels[m]
         total += wp * part
         if bad.shape[0]:
             for m in range(TAPS):
@@ -227,27 +228,62 @@ def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
     return total, weight
 
 
+def cells_by_phase(
+    image: Array32, bad: NDArray[np.bool_], period: tuple[int, int]
+) -> tuple[Array32, NDArray[np.bool_], NDArray[np.int64]]:
+    """Pixels of each phase of a filter by themselves, one behind the other in memory.
+
+    Parameters
+    ----------
+    image : (rows, columns) float32
+    bad : (rows, columns) bool
+        Empty where all can be used.
+    period : (int, int)
+
+    Returns
+    -------
+    cells, bad : (phases, rows, columns)
+    sizes : (phases, 2)
+        Rows and columns that hold pixels; phases go row by row of the filter.
+    """
+    phases = [(i, j) for i in range(period[0]) for j in range(period[1])]
+    sizes = np.array([image[i :: period[0], j :: period[1]].shape for i, j in phases], dtype=np.int64)
+    if len(phases) == 1:
+        return image[None], bad[None], sizes
+    cells = np.zeros((len(phases), *sizes.max(axis=0)), dtype=np.float32)
+    spoiled = np.zeros((len(phases), *(sizes.max(axis=0) if bad.size else (0, 0))), dtype=np.bool_)
+    for k, ((i, j), (rows, columns)) in enumerate(zip(phases, sizes, strict=True)):
+        cells[k, :rows, :columns] = image[i :: period[0], j :: period[1]]
+        if bad.size:
+            spoiled[k, :rows, :columns] = bad[i :: period[0], j :: period[1]]
+    return cells, spoiled, sizes
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_bands(  # type: ignore[no-untyped-def]
-    places, pixels, image, bad, corner, period, first, bands, phase, level, table, share, out
+    places, pixels, cells, bad, sizes, corner, period, first, bands, phase, level, table, share, out
 ):
     """Values of `bands` at `places` of a tile, which a frame sees at `pixels`, into `out` (B, places).
 
-    `image` is the part of the frame from `corner` on, which begins at a whole period of the filter; `bands`
-    and their `phase` go group by group, group g from ``first[g]`` on; values are multiplied by `level` (B,).
+    `cells`, `bad` and `sizes` are the part of the frame from `corner` on, which begins at a whole period of
+    the filter, as `cells_by_phase` gives it; `bands` and their `phase` go group by group, group g from
+    ``first[g]`` on; values are multiplied by `level` (B,).
     """
     count = out.shape[1]
+    scratch = np.empty(TAPS, np.float32)
     for k in range(places.shape[0]):
         g, at = places[k] // count, places[k] % count
         for n in range(first[g], first[g + 1]):
-            cells = image[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
-            spoiled = bad[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
+            which = phase[n, 0] * period[1] + phase[n, 1]
             value, weight = _value(
-                cells,
-                spoiled,
+                cells[which],
+                bad[which],
+                sizes[which, 0],
+                sizes[which, 1],
                 (pixels[k, 0] - corner[0] - phase[n, 0]) / period[0],
                 (pixels[k, 1] - corner[1] - phase[n, 1]) / period[1],
                 table,
+                scratch,
             )
             out[bands[n], at] = level[bands[n]] * value if weight <= share else np.nan
 

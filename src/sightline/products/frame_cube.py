@@ -24,6 +24,7 @@ from sightline.imaging.source import ImageSource
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
 from sightline.products.cube_kernels import (
+    cells_by_phase,
     choose_views,
     fill_bands,
     place_weights,
@@ -334,8 +335,9 @@ class CubeMaker:
                 unread[frame] = str(error)
                 return False
             first, rows, phase = self._bands[channel]
+            cells = cells_by_phase(image, bad, self.layout.period)
             fill_bands(
-                places, pixels, image, bad, low.astype(np.float64), period, first, rows, phase, self._level,
+                places, pixels, *cells, low.astype(np.float64), period, first, rows, phase, self._level,
                 self._table, _MASK_SHARE, values,
             )  # fmt: skip
         return True

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 #: Most rows computed exactly, and columns of each.
 LINE_SAMPLES, COLUMN_SAMPLES = 4096, 5
+#: Rows that are interpolated at once.
+AT_ONCE = 4096
 
 
 def sampled_sensitivities(
@@ -69,22 +71,29 @@ def sampled_sensitivities(
     values = np.concatenate([exact.angles_a, exact.angles_b, exact.height[:, :, None], exact.statics], axis=2)
     values = values.reshape(len(sample_rows), len(at_blocks), -1)
     across = _fill_and_interpolate(values, at_blocks.astype(float), np.arange(blocks, dtype=float))
-    whole = _fill_and_interpolate(
-        across.transpose(1, 0, 2), sample_rows.astype(float), np.arange(rows, dtype=float)
-    ).transpose(1, 0, 2)
-    whole = whole.reshape(rows * blocks, 2, -1)
-    if len(statics) < len(own) or any(parameter.whole for parameter in own):
-        other = grid.window[1] if width is None else width
-        columns = {image: (places[:, 1], other), hub: (grid.centres[:, 1], grid.window[1])}
-        parts = [whole[..., :7]]
-        for parameter in own:
-            moved = whole[..., 7 + statics.index(parameter.whole or parameter)]
-            if parameter.profile is not None and parameter.images[0] in columns:
-                share = _averaged(parameter.profile, *columns[parameter.images[0]])
-                moved = moved * share[:, None]
-            parts.append(moved[..., None])
-        whole = np.concatenate(parts, axis=2)
-    return np.ascontiguousarray(whole, dtype=np.float32)
+    across = np.ascontiguousarray(across.transpose(1, 0, 2))
+    other = grid.window[1] if width is None else width
+    columns = {image: (places[:, 1], other), hub: (grid.centres[:, 1], grid.window[1])}
+    shares = [_share(parameter, columns) for parameter in own]
+    of_whole = [7 + statics.index(parameter.whole or parameter) for parameter in own]
+    # some rows at a time: in float64 all of them would take more than all else of a long strip
+    for begin in range(0, rows, AT_ONCE):
+        wanted = np.arange(begin, min(begin + AT_ONCE, rows), dtype=float)
+        whole = _fill_and_interpolate(across, sample_rows.astype(float), wanted).transpose(1, 0, 2)
+        whole = whole.reshape(len(wanted) * blocks, 2, -1)
+        here = slice(begin * blocks, (begin + len(wanted)) * blocks)
+        out[here, :, :7] = whole[..., :7]
+        for k, (column, share) in enumerate(zip(of_whole, shares, strict=True)):
+            moved = whole[..., column]
+            out[here, :, 7 + k] = moved if share is None else moved * share[here, None]
+    return out
+
+
+def _share(parameter: StaticParameter, columns: dict[int, tuple[Array, float]]) -> Array | None:
+    """What a parameter moves each window by, as a share of what its `whole` does; None: as much."""
+    if parameter.profile is None or parameter.images[0] not in columns:
+        return None
+    return _averaged(parameter.profile, *columns[parameter.images[0]])
 
 
 def _averaged(profile: Array, columns: Array, width: float) -> Array:
@@ -100,17 +109,20 @@ def _averaged(profile: Array, columns: Array, width: float) -> Array:
 def _fill_and_interpolate(values: Array, x: Array, wanted: Array) -> Array:
     """Linear interpolation of (rows, samples, C) along the second axis; NaN samples are bridged or held."""
     out = np.empty((values.shape[0], len(wanted), values.shape[2]))
-    for r in range(values.shape[0]):
-        good = np.isfinite(values[r]).all(axis=1)
-        if not good.any():
-            out[r] = np.nan
-            continue
-        at = x[good]
-        right = np.clip(np.searchsorted(at, wanted), 1, max(len(at) - 1, 1))
-        if len(at) == 1:
-            out[r] = values[r, good]
-            continue
-        w = np.clip((wanted - at[right - 1]) / (at[right] - at[right - 1]), 0.0, 1.0)
-        v = values[r, good]
-        out[r] = (1 - w)[:, None] * v[right - 1] + w[:, None] * v[right]
+    known = np.isfinite(values).all(axis=2)
+    whole = known.all(axis=1)
+    if whole.any():
+        out[whole] = _between(values[whole], x, wanted)
+    for r in np.flatnonzero(~whole):
+        good = known[r]
+        out[r] = _between(values[r : r + 1, good], x[good], wanted)[0] if good.any() else np.nan
     return out
+
+
+def _between(values: Array, x: Array, wanted: Array) -> Array:
+    """Linear interpolation of (rows, samples, C) known everywhere; the ends are held."""
+    if len(x) == 1:
+        return np.repeat(values, len(wanted), axis=1)
+    right = np.clip(np.searchsorted(x, wanted), 1, len(x) - 1)
+    w = np.clip((wanted - x[right - 1]) / (x[right] - x[right - 1]), 0.0, 1.0)[:, None]
+    return np.asarray((1 - w) * values[:, right - 1] + w * values[:, right])

@@ -205,7 +205,10 @@ def match_star(
         one.status[partner.seen & ~chosen] = NOT_CHOSEN
         measured.append(one)
     camera, predicted = cameras[hub], [partner.predicted for partner in found]
-    values = np.stack([partner.values for partner in found], axis=1)
+
+    def values(columns: slice) -> NDArray[np.float32]:
+        return np.stack([partner.values[..., columns] for partner in found], axis=1)
+
     tdi_hub, tdi = _tdi(cameras, hub, partners, grid, predicted)
     duration, stretch = _duration(camera, grid, exposed=strips.coarse)
     star = Star(
@@ -223,10 +226,10 @@ def match_star(
         fineness=fineness(cameras, hub, partners),
         residual_px=np.stack([one.residual for one in measured], axis=1),
         covariance_px=np.stack([one.covariance for one in measured], axis=1),
-        by_hub=np.ascontiguousarray(values[..., 0:3]),
-        by_partner=np.ascontiguousarray(values[..., 3:6]),
-        by_static=np.ascontiguousarray(values[..., 7:]),
-        by_height=np.ascontiguousarray(values[..., 6]),
+        by_hub=values(slice(0, 3)),
+        by_partner=values(slice(3, 6)),
+        by_static=values(slice(7, None)),
+        by_height=values(slice(6, 7))[..., 0],
         field=field_positions(grid.centres[:, 1], images[hub].shape[1]),
         correlation=shared_image_correlation(k),
         weight=np.ones((g, k)),

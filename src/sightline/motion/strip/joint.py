@@ -214,19 +214,27 @@ class JointEstimate:
         parabola of roll that belongs to a drift of yaw, leave some of it to be seen; it is hidden where free
         static parameters take away all of that.
         """
+        return self._hidden_drifts
+
+    @cached_property
+    def _hidden_drifts(self) -> tuple[int, ...]:
+        """What `hidden_drifts` gives."""
         data, count = self._images, self.grid.count
         free = len(self._prior.statics_sigma)
         if not free:
             return ()
         curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), DEGREE)
         each = DEGREE + 1
-        shapes = np.zeros((count, data.block, 3 * each))
-        for axis in range(3):
-            shapes[:, axis, each * axis : each * (axis + 1)] = curves
-        h = shapes.reshape(-1, 3 * each)
-        top, bottom = data.times(h)
-        bottom = bottom[:free]
-        seen = np.block([[h.T @ top, bottom.T], [bottom, data.corner[:free, :free]]])
+        seen = np.zeros((3 * each + free,) * 2)
+        seen[3 * each :, 3 * each :] = data.corner[:free, :free]
+        for axis in range(3):  # one after the other: of long strips all together take more than the motion
+            shapes = np.zeros((count, data.block, each))
+            shapes[:, axis] = curves
+            top, bottom = data.times(shapes.reshape(-1, each))
+            here = slice(each * axis, each * (axis + 1))
+            angles = top.reshape(count, data.block, each)[:, :3]
+            seen[: 3 * each, here] = np.einsum("nc,nad->acd", curves, angles).reshape(3 * each, each)
+            seen[3 * each :, here], seen[here, 3 * each :] = bottom[:free], bottom[:free].T
         size = np.sqrt(np.maximum(np.diag(seen), 0.0))
         seen = seen / np.outer(*[np.where(size > 0.0, size, 1.0)] * 2)
         motions = [k for k in range(3 * each) if k % each > 1]
@@ -267,10 +275,6 @@ class JointEstimate:
     def _completed(self) -> Array:
         """(count, 3, 6) rad: a constant and a drift of each axis, completed to what images see least."""
         data, count = self._images, self.grid.count
-        seeds = np.zeros((count, data.block, 6))
-        for k in range(6):
-            seeds[:, k % 3, k] = self._seeds[:, k // 3]
-        h = seeds.reshape(-1, 6)
         alone = replace(self._prior, own_precision=None, ample=None)
         # what sensors see of a motion does not make it less hidden from the images
         own = (
@@ -284,15 +288,16 @@ class JointEstimate:
             own if ample is None else _factor(_banded_factor(data, ample), data, ample, constants=False),
         )
         # a constant moves the static parameters alone, and ample motions would rather undo it than let them
-        top, bottom = data.times(h)
-        x = np.concatenate(
-            [
-                f.solve(-top[:, k : k + 3], -bottom[:, k : k + 3])[0]
-                for f, k in zip(factors, (0, 3), strict=True)
-            ],
-            axis=1,
-        )
-        return np.asarray((h + x).reshape(count, data.block, -1)[:, :3])
+        out = np.empty((count, 3, 6))
+        for shape, factor in enumerate(factors):
+            seeds = np.zeros((count, data.block, 3))
+            for axis in range(3):
+                seeds[:, axis, axis] = self._seeds[:, shape]
+            h = seeds.reshape(-1, 3)
+            top, bottom = data.times(h)
+            x = factor.solve(-top, -bottom)[0]
+            out[:, :, 3 * shape : 3 * shape + 3] = (h + x).reshape(count, data.block, 3)[:, :3]
+        return out
 
     def relative_covariance(
         self, t: Array, directions: Array, scale: Array, turn: Array | None = None
