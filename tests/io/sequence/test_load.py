@@ -15,6 +15,7 @@ from tests.formats_text import FORMATS
 from tests.io.sequence_files import NORTH, SHAPE, flight, npy, picture
 
 from sightline.errors import FormatError, GeometryError, SightlineError
+from sightline.execution import threads_limited
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
 from sightline.io.config import json_schema, schema_of
 from sightline.io.formats.xmp import gimbal_attitude, parse_xmp
@@ -138,8 +139,11 @@ def test_frames_are_read_when_they_are_asked_for(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="counts open files as Linux shows them")
-def test_many_frames_keep_few_files_open(tmp_path):
+def test_many_frames_keep_few_files_open_where_few_may_be(tmp_path, monkeypatch):
     import rasterio
+
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (240, 240))
 
     profile = {"driver": "GTiff", "dtype": "uint8", "count": 1, "height": 24, "width": 32}
     image = np.random.default_rng(0).integers(0, 255, SHAPE).astype(np.uint8)
@@ -150,9 +154,11 @@ def test_many_frames_keep_few_files_open(tmp_path):
         with target:
             target.write(image, 1)
     before = len(os.listdir("/proc/self/fd"))
-    for k in range(100):
-        opened(tmp_path / f"{k}.tif", 1).read((0, 4), (0, 4))
-    assert len(os.listdir("/proc/self/fd")) - before <= 64
+    with threads_limited(2):
+        for k in range(100):
+            opened(tmp_path / f"{k}.tif", 1).read((0, 4), (0, 4))
+    # two threads may hold every file twice: half of 240, less what else is open
+    assert len(os.listdir("/proc/self/fd")) - before <= 60
 
 
 def test_frames_without_a_row_are_interpolated_with_an_infinite_sigma(tmp_path):

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from sightline.access import Access, current_access, using
 from sightline.errors import FormatError
+from sightline.execution import thread_count
 from sightline.io.formats.images import RasterImage, Source, check_content, open_image
 
-#: Files kept open at a time: those that are matched with one another, by as many threads.
-_KEPT = 32
+#: Files kept open at a time: those that are matched with one another, and those that show one row of a map's
+#: tiles. Each thread has handles of its own: no more than half of those that a process may hold.
+_KEPT = 192
 _opened: OrderedDict[tuple[Path, int | str, int, Access], Source] = OrderedDict()
 _opening = threading.Lock()
 
@@ -33,10 +35,20 @@ def opened(path: Path, band: int | str, access: Access | None = None) -> Source:
         if source is None:
             with using(access):
                 source = _opened[key] = open_image(path, band)
-            while len(_opened) > _KEPT:
+            while len(_opened) > _kept():
                 _opened.popitem(last=False)
         _opened.move_to_end(key)
     return source
+
+
+def _kept() -> int:
+    """How many files are kept open."""
+    try:
+        import resource
+    except ImportError:  # not a Unix system
+        return _KEPT
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return _KEPT if most == resource.RLIM_INFINITY else min(_KEPT, max(most // (2 * thread_count() + 2), 1))
 
 
 @dataclass(frozen=True)
