@@ -393,6 +393,8 @@ class BorderedFactor:
         B; q may be 0.
     corner : array (q, q)
         D.
+    tied : array (n, q), optional
+        A's inverse times B, where that is known.
 
     Raises
     ------
@@ -402,7 +404,9 @@ class BorderedFactor:
         If the whole matrix is not positive definite.
     """
 
-    def __init__(self, band: Array | BandedFactor, border: Array, corner: Array) -> None:
+    def __init__(
+        self, band: Array | BandedFactor, border: Array, corner: Array, tied: Array | None = None
+    ) -> None:
         self._banded = band if isinstance(band, BandedFactor) else BandedFactor(band)
         border = np.asarray(border, dtype=np.float64)
         corner = np.asarray(corner, dtype=np.float64)
@@ -413,7 +417,9 @@ class BorderedFactor:
                 f"got {border.shape} and {corner.shape}"
             )
         self._border = border
-        self._tied: Array = self._banded.solve(border) if border.shape[1] else np.zeros((n, 0))
+        if tied is None:
+            tied = self._banded.solve(border) if border.shape[1] else np.zeros((n, 0))
+        self._tied: Array = tied
         schur = corner - border.T @ self._tied
         # Unknowns of the border may have any unit: scale before factoring.
         self._scale = np.sqrt(np.maximum(np.diag(corner), np.finfo(float).tiny))

@@ -145,7 +145,10 @@ class _Strips:
 
 @dataclass(frozen=True, eq=False)
 class _Partner:
-    """Windows of a hub in one partner: where they should be, what is compared, how they move."""
+    """Windows of a hub in one partner: where they should be, what is compared, how they move.
+
+    `moved`: where all that moves them is known; `by_hub`, `by_partner` (G, 2, 3) px/rad.
+    """
 
     image: int
     predicted: Predictions
@@ -153,7 +156,30 @@ class _Partner:
     seen: Flags
     laid: ImageSource
     whitening: Whitening | None
-    values: NDArray[np.float32]
+    moved: Flags
+    by_hub: NDArray[np.float32]
+    by_partner: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class _Moves:
+    """What moves the windows of a hub in all partners, as a `Star` has it."""
+
+    by_hub: NDArray[np.float32]
+    by_partner: NDArray[np.float32]
+    by_static: NDArray[np.float32]
+    by_height: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, windows: int, pairs: int, statics: int) -> _Moves:
+        """Zeros of all shapes."""
+        shapes = ((3,), (3,), (statics,), ())
+        return cls(*(np.zeros((windows, pairs, 2, *shape), dtype=np.float32) for shape in shapes))
+
+    def put(self, pair: int, values: NDArray[np.float32]) -> None:
+        """Those of one partner, (G, 2, 7 + Q) as `sampled_sensitivities` gives them."""
+        self.by_hub[:, pair], self.by_partner[:, pair] = values[..., 0:3], values[..., 3:6]
+        self.by_height[:, pair], self.by_static[:, pair] = values[..., 6], values[..., 7:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +218,8 @@ def match_star(
     g, k = len(grid.centres), len(partners)
     wrong = found_wrong(before, hub, grid, k)
     chosen = chosen_windows(images[hub], hub, grid.centres, grid.window, plan.selection)
-    found = _prepared(strips, partners, statics, wrong, filters)
+    moves = _Moves.empty(g, k, len(statics))
+    found = _prepared(strips, partners, statics, wrong, filters, moves)
     measured = []
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(found):
@@ -205,10 +232,6 @@ def match_star(
         one.status[partner.seen & ~chosen] = NOT_CHOSEN
         measured.append(one)
     camera, predicted = cameras[hub], [partner.predicted for partner in found]
-
-    def values(columns: slice) -> NDArray[np.float32]:
-        return np.stack([partner.values[..., columns] for partner in found], axis=1)
-
     tdi_hub, tdi = _tdi(cameras, hub, partners, grid, predicted)
     duration, stretch = _duration(camera, grid, exposed=strips.coarse)
     star = Star(
@@ -226,10 +249,10 @@ def match_star(
         fineness=fineness(cameras, hub, partners),
         residual_px=np.stack([one.residual for one in measured], axis=1),
         covariance_px=np.stack([one.covariance for one in measured], axis=1),
-        by_hub=values(slice(0, 3)),
-        by_partner=values(slice(3, 6)),
-        by_static=values(slice(7, None)),
-        by_height=values(slice(6, 7))[..., 0],
+        by_hub=moves.by_hub,
+        by_partner=moves.by_partner,
+        by_static=moves.by_static,
+        by_height=moves.by_height,
         field=field_positions(grid.centres[:, 1], images[hub].shape[1]),
         correlation=shared_image_correlation(k),
         weight=np.ones((g, k)),
@@ -246,8 +269,9 @@ def _prepared(
     statics: Sequence[StaticParameter],
     wrong: Flags,
     filters: Filters | None,
+    moves: _Moves,
 ) -> list[_Partner]:
-    """Of all partners where they should show the windows, what is compared, and how it moves."""
+    """Of all partners where they should show the windows, what is compared; into `moves` how it moves."""
     cameras, hub, grid = strips.cameras, strips.hub, strips.grid
     predicted = predict_windows(cameras, hub, partners, strips.surface, grid)
     mixed = mixed_stages(cameras[hub], grid.centres, grid.window)
@@ -264,18 +288,23 @@ def _prepared(
             return known[hub, partners[j]]
         return _whitening(strips, laid[j], grid.centres[seen[j] & ~wrong[:, j]])
 
-    def sensitivity(j: int) -> NDArray[np.float32]:
-        return sampled_sensitivities(
+    def sensitivity(j: int) -> Flags:
+        values = sampled_sensitivities(
             cameras, hub, partners[j], strips.surface, grid, seen[j], statics, predicted[j].b, sizes[j][1]
         )
+        moves.put(j, values)
+        return np.asarray(np.isfinite(values).all(axis=(1, 2)))
 
     whitenings = in_threads(whitening, range(len(partners)))
     if filters is not None and not grid.narrow(strips.images[hub].shape[1]):
         filters.update(_both_ways(cameras, hub, partners, whitenings))
-    values = in_threads(sensitivity, range(len(partners)))
+    moved = in_threads(sensitivity, range(len(partners)))
+    by_hub, by_partner = (np.moveaxis(by, 1, 0) for by in (moves.by_hub, moves.by_partner))
     return [
         _Partner(*parts)
-        for parts in zip(partners, predicted, sizes, seen, laid, whitenings, values, strict=True)
+        for parts in zip(
+            partners, predicted, sizes, seen, laid, whitenings, moved, by_hub, by_partner, strict=True
+        )
     ]
 
 
@@ -299,7 +328,7 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
     partner.
     """
     cameras, hub, grid, plan = strips.cameras, strips.hub, strips.grid, strips.plan
-    predicted, values = partner.predicted, partner.values
+    predicted = partner.predicted
 
     def matched(image: ImageSource, step: Step = no_step, own: ImageSource = strips.images[hub]) -> Matches:
         return match_images(
@@ -308,7 +337,7 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
         )  # fmt: skip
 
     matches = matched(partner.laid, step)
-    good = matches.kept & np.isfinite(values).all(axis=(1, 2)) & partner.seen
+    good = matches.kept & partner.moved & partner.seen
     turn = predicted.affine[good]
     finer = strips.finer(partner.image)
     if finer and not strips.searched:
@@ -320,7 +349,7 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
         def by(other: Sequence[MovingCamera]) -> Matches:
             return matched(laid_on(strips.images, other, strips.surface, hub, partner.image))
 
-        found = answers(strips.blurred, partner.image, matches, values[:, :, 3:6], predicted.affine, by)
+        found = answers(strips.blurred, partner.image, matches, partner.by_partner, predicted.affine, by)
         share = found[good]
         turn = turn / np.stack([share, np.ones(len(share))], axis=1)[:, :, None]
     shift, uncertain = matches.b[good] - grid.centres[good], matches.covariance_px[good]
@@ -335,7 +364,7 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
             (hub, partner.image),
             (grid.centres[good], predicted.b[good]),
             (exposure_times(cameras[hub], grid.centres[good]), predicted.t[good]),
-            (values[good, :, 0:3], values[good, :, 3:6]),
+            (partner.by_hub[good], partner.by_partner[good]),
             predicted.affine[good],
             partner.whitening,
         )

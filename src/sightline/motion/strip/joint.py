@@ -475,13 +475,20 @@ class _Banded:
     """Band of data + prior, factored: the same with and without a free constant per axis.
 
     `ones` (size, 3) are these constants, `pulled` the prior's precision times them; `place` is where the
-    unknowns of the grid stand; None where there are no others between them.
+    unknowns of the grid stand; None where there are no others between them. `border` (size, Q + 3) holds the
+    statics, then the constants.
     """
 
     factor: BandedFactor
     ones: Array
     pulled: Array
     place: Index | None
+    border: Array
+
+    @cached_property
+    def tied(self) -> Array:
+        """The inverse of the band times the border, (size, Q + 3)."""
+        return self.factor.solve(self.border)
 
 
 def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
@@ -493,7 +500,10 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
         spread_band(data.ab.whole(), place, ab)
         ab[: len(p)] += p
         ones = _constants(p.shape[1], block, place)
-        return _Banded(BandedFactor(ab), ones, band_times(p, ones), place)
+        pulled, beside = band_times(p, ones), np.zeros((p.shape[1], data.border.shape[1]))
+        beside[place] = data.border
+        border = np.concatenate([beside, -pulled], axis=1)
+        return _Banded(BandedFactor(ab), ones, pulled, place, border)
     n, width = data.ab.n, prior.width(block)
     ones = _constants(n, block, np.arange(n))
     pulled = np.zeros(ones.shape)
@@ -507,7 +517,8 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
         out[: len(p)] += p
         return out
 
-    return _Banded(BandedFactor.of_columns(depth - 1, n, columns), ones, pulled, None)
+    factor = BandedFactor.of_columns(depth - 1, n, columns)
+    return _Banded(factor, ones, pulled, None, np.concatenate([data.border, -pulled], axis=1))
 
 
 def _constants(size: int, block: int, place: Index) -> Array:
@@ -520,20 +531,16 @@ def _constants(size: int, block: int, place: Index) -> Array:
 
 def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
     """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
-    size = banded.factor.n
-    place = np.arange(size) if banded.place is None else banded.place
     precision = prior.border_precision
-    statics = len(precision)
-    border, corner = np.zeros((size, statics)), data.corner + precision
-    border[place] = data.border
+    columns, corner = len(precision), data.corner + precision
     if constants:
-        border = np.concatenate([border, -banded.pulled], axis=1)
-        grown = np.zeros((statics + 3, statics + 3))
+        statics, columns = columns, columns + 3
+        grown = np.zeros((columns, columns))
         grown[:statics, :statics] = corner
         held = np.diag(1.0 / np.square(prior.constant_sigma))
         grown[statics:, statics:] = banded.ones.T @ banded.pulled + held
         corner = grown
-    factor = BorderedFactor(banded.factor, border, corner)
+    factor = BorderedFactor(banded.factor, banded.border[:, :columns], corner, banded.tied[:, :columns])
     return factor if banded.place is None else LaidFactor(factor, banded.place)
 
 
