@@ -109,8 +109,8 @@ def _averaged(profile: Array, columns: Array, width: float) -> Array:
 def _fill_and_interpolate(values: Array, x: Array, wanted: Array) -> Array:
     """Linear interpolation of (rows, samples, C) along the second axis; NaN samples are bridged or held."""
     out = np.empty((values.shape[0], len(wanted), values.shape[2]))
-    known = np.isfinite(values).all(axis=2)
-    whole = known.all(axis=1)
+    known = np.asarray(np.isfinite(values).all(axis=2))
+    whole = np.asarray(known.all(axis=1))
     if whole.any():
         out[whole] = _between(values[whole], x, wanted)
     for r in np.flatnonzero(~whole):
