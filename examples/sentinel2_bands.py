@@ -33,8 +33,7 @@ def infrared(acquired, motion, statics) -> tuple[float, float]:
     points = window_grid((352, 352), (12, 64), 12).centres
     there = predict_match(cameras[1], cameras[3], acquired.surface, points)
     points, there = (p[np.isfinite(there[:, 0])] for p in (points, there))
-    images = acquired.images[1], acquired.images[3]
-    match = sightline.match_images(*images, points, there, window=(12, 64), search_px=(6, 6))
+    match = sightline.match_images(*acquired.images[1:4:2], points, there, window=(12, 64), search_px=(6, 6))
     left, (line, column) = (match.b - there)[match.kept, 1], points[match.kept].T
     shape, good = np.column_stack([np.ones_like(line), line, column]), np.ones(len(left), dtype=bool)
     for _ in range(5):  # windows that show something else than ground are left out
@@ -47,14 +46,12 @@ def infrared(acquired, motion, statics) -> tuple[float, float]:
 
 def expected(bands, found) -> float:
     """What the covariance of roll leaves of these means, offset and drift of B08 fitted, px."""
-    t = found.motion.t
-    weights = np.zeros((len(t), 3, 8))
+    t, weights = found.motion.t, np.zeros((len(found.motion.t), 3, 8))
     for band, sign in ((bands[3], 1.0), (bands[1], -1.0)):
         for k, times in enumerate(band.camera.times(np.arange(352.0)).reshape(8, 44)):
             share = [np.interp(times, t, unit).mean() for unit in np.eye(len(t))]
             weights[:, 0, k] += sign * np.array(share)
-    line = np.column_stack([np.ones(8), np.arange(8)])
-    left = np.eye(8) - line @ np.linalg.pinv(line)
+    left = np.eye(8) - (line := np.vander(np.arange(8.0), 2)) @ np.linalg.pinv(line)
     covariance = left @ found.functional_covariance(weights) @ left
     return float(np.sqrt(np.trace(covariance) / 8) / found.ifov)
 

@@ -255,7 +255,7 @@ def georeference_sequence(
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
     rig = _with_rig(problem, followed, poses, tracks, run) if problem.rig else None
     poses = poses if rig is None else first_camera(rig, len(tracks))
-    refuse_contradicted(problem, poses)
+    refuse_contradicted(problem, poses, () if rig is None else rig.words)
     source, reason = _sources(problem, followed, subset, poses)
     words = (
         *_warnings(problem, poses, source, followed),

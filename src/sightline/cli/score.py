@@ -65,7 +65,7 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     from sightline.errors import FormatError
     from sightline.evaluation.score import score_motion
     from sightline.io.formats.tables import read_motion
-    from sightline.io.results.hidden import read_hidden, read_summary
+    from sightline.io.results.hidden import pixel_scale, read_hidden, read_summary
     from sightline.io.results.pose_score import score_pose_folder
     from sightline.io.results.stereo_score import score_orientation_folder
 
@@ -101,6 +101,5 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
         hidden=directions,
         hidden_names=names,
         absolute_sigma=motion.sigma_absolute,
-        ifov=summary.get("ifov"),
-        half_field_px=summary.get("half_field_px"),
+        **pixel_scale(result, summary),
     ).as_dict()

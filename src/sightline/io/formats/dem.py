@@ -91,7 +91,7 @@ def read_dem(
                 "ground that is seen, or make it coarser"
             )
         heights = _heights(path, dataset, window)
-        transform = dataset.window_transform(window) if window is not None else dataset.transform
+        transform = dataset.transform if window is None else _of_window(dataset.transform, window)
     if datum == "geoid":
         n = (
             float(geoid)
@@ -183,6 +183,15 @@ def _window(dataset: Any, bounds: Bounds | None, crs: str | None) -> Any:
     if last_row - first_row < 2 or last_column - first_column < 2:
         return None
     return Window(first_column, first_row, last_column - first_column, last_row - first_row)
+
+
+def _of_window(transform: Any, window: Any) -> Any:
+    """The transform of a window; rasterio's own warns with some versions of affine."""
+    from rasterio.transform import Affine
+
+    a, b, c, d, e, f = transform[:6]
+    column, row = window.col_off, window.row_off
+    return Affine(a, b, c + a * column + b * row, d, e, f + d * column + e * row)
 
 
 def _heights(path: Path, dataset: Any, window: Any) -> Array:

@@ -71,9 +71,25 @@ def remove_hidden(motion: Motion | ArrayLike | str | Path, folder: str | Path) -
         )
     hidden = read_hidden(place, summary, len(t))
     directions = constant_directions(len(t)) if hidden is None else hidden[0]
-    return less_hidden(
-        angles, directions, ifov=summary.get("ifov"), half_field_px=summary.get("half_field_px")
-    )
+    return less_hidden(angles, directions, **pixel_scale(place, summary))
+
+
+def pixel_scale(folder: Path, summary: Mapping[str, Any]) -> dict[str, float | None]:
+    """`ifov` and `half_field_px` of a result's ``summary.json``: both, or neither.
+
+    Raises
+    ------
+    FormatError
+        If one of them is missing.
+    """
+    scale = {key: summary.get(key) for key in ("ifov", "half_field_px")}
+    missing = [key for key, value in scale.items() if value is None]
+    if len(missing) == 1:
+        raise FormatError(
+            f"{folder / 'summary.json'}: no {missing[0]}, which turns angles into pixels beside "
+            f"{'ifov' if missing[0] != 'ifov' else 'half_field_px'}; give the folder as `recover` wrote it"
+        )
+    return scale
 
 
 def write_hidden(

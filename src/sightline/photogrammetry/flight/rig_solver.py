@@ -125,7 +125,7 @@ def solve_rig(
         offsets = solution.offsets
     assert solution is not None
     _refuse_unseen(solution.offsets, exact)
-    return RigAdjusted(solution.poses, solution.offsets, whole, offset_words(problem, solution.offsets))
+    return RigAdjusted(solution.poses, solution.offsets, whole, _words(problem, solution.offsets, exact))
 
 
 def solve_capture(problem: SequenceProblem) -> RigAdjusted:
@@ -187,7 +187,7 @@ def solve_capture(problem: SequenceProblem) -> RigAdjusted:
         solution.poses, position=images.position, world_from_body=images.world_from_body,
         covariance=frozen(covariance[None]), pair_covariance=None,
     )  # fmt: skip
-    return RigAdjusted(poses, solution.offsets, tracks, offset_words(problem, solution.offsets))
+    return RigAdjusted(poses, solution.offsets, tracks, _words(problem, solution.offsets, exact))
 
 
 def first_camera(found: RigAdjusted, rows: int) -> FramePoses:
@@ -203,6 +203,11 @@ def check_rig(problem: SequenceProblem) -> None:
             "the cameras of a rig are taken to expose all lines at once: readout_time is given for it; leave "
             "it out, or georeference each camera by itself"
         )
+
+
+def _words(problem: SequenceProblem, offsets: RigOffsets, exact: str) -> tuple[str, ...]:
+    """What a user should know: offsets that contradict what was given, exactly or not."""
+    return (*((exact,) if exact else ()), *offset_words(problem, offsets))
 
 
 def offset_words(problem: SequenceProblem, offsets: RigOffsets) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ Not here: control points (``control_check.py``), heights of the ground (``found_
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,13 +177,16 @@ class Misfit:
     hopeless: bool
 
 
-def refuse_contradicted(problem: SequenceProblem, poses: FramePoses) -> None:
-    """EstimationError where what is given contradicts itself by far more than chance: no poses go with it."""
+def refuse_contradicted(problem: SequenceProblem, poses: FramePoses, rig: Sequence[str] = ()) -> None:
+    """EstimationError where what is given contradicts itself by far more than chance: no poses go with it.
+
+    What is said of the offsets of a `rig` is among the likely causes.
+    """
     found = misfits(problem, poses)
     if any(misfit.hopeless for misfit in found):
         raise EstimationError(
             "what is given contradicts itself, so that the poses found would be confident and wrong: "
-            + "; ".join(misfit.words for misfit in found)
+            + "; ".join([*rig, *(misfit.words for misfit in found)])
         )
 
 
