@@ -160,24 +160,32 @@ def _factor_words(factors: tuple[float, ...]) -> str:
     return ", ".join(f"{factor:.2g} times{axis}" for factor, axis in named if factor > DOUBTFUL)
 
 
-def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]:
+def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     """Statics, constant angles and even rates far from what was given, by what was said of them."""
     said = []
-    for parameter, value in zip(strip.parameters, estimate.statics, strict=True):
+    for parameter, value in zip(strip.parameters, state.estimate.statics, strict=True):
         ratio = abs(float(value)) / parameter.sigma
         if ratio > FAR_OFF:
             said.append(
                 f"{parameter.name} is {value:.3g} {parameter.unit}".rstrip() + f" ({ratio:.2g} sigmas)"
             )
-    usual = strip.known.usual()
+    half = 0.5 * strip.grid.step * max(strip.grid.count - 1, 1)
+    allowed = [
+        (sigma, sigma, max(sigma, turn))
+        for sigma, turn in zip(
+            strip.known.usual(),
+            (state.prior.constant_sigma[2], state.prior.drift_sigma[2] / half),
+            strict=True,
+        )
+    ]
     t = motion.t - motion.t.mean()
     lines = np.polynomial.polynomial.polyfit(t, motion.angles, 1) if len(t) > 1 else motion.angles
     kinds = (
-        ("a constant {} of {:.3g} rad", usual[0]),
-        ("an even rate of {} of {:.3g} rad/s", usual[1]),
+        ("a constant {} of {:.3g} rad", allowed[0]),
+        ("an even rate of {} of {:.3g} rad/s", allowed[1]),
     )
-    for (words, sigma), values in zip(kinds, lines, strict=False):
-        for axis, value in zip(("roll", "pitch", "yaw"), values.tolist(), strict=True):
+    for (words, sigmas), values in zip(kinds, lines, strict=False):
+        for axis, value, sigma in zip(("roll", "pitch", "yaw"), values.tolist(), sigmas, strict=True):
             if abs(value) > FAR_OFF * sigma > 0.0:
                 said.append(f"{words.format(axis, value)} ({abs(value) / sigma:.2g} sigmas)")
     if not said:
@@ -185,8 +193,8 @@ def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]
     return [
         f"far from what was given: {', '.join(said)}; check ifov or directions, look_ahead, rotation, line "
         "times and attitudes, or the sigmas that are stated of them ([platform] attitude_sigma and "
-        "rate_sigma are 0.01 rad and 0.001 rad/s where they are not given; yaw is then let go as far as its "
-        "motion does)"
+        "rate_sigma are 0.01 rad and 0.001 rad/s where they are not given; of yaw as much as its motion "
+        "goes, where that is more)"
     ]
 
 
@@ -222,7 +230,7 @@ def control_warnings(
                 "columns counted from the other side, lines and columns exchanged, or places of another band "
                 "or projection? Look at some in the image"
             )
-    return (*out, *_far_off(strip, state.estimate, motion), *_sensor_warnings(strip, state.estimate))
+    return (*out, *_far_off(strip, state, motion), *_sensor_warnings(strip, state.estimate))
 
 
 def strip_warnings(
@@ -254,7 +262,7 @@ def strip_warnings(
             f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "
             "interpolated, its sigma grown"
         )
-    out += _far_off(strip, state.estimate, motion)
+    out += _far_off(strip, state, motion)
     out += _sensor_warnings(strip, state.estimate)
     out += shape_warnings(strip, state)
     covariance = motion.covariance
