@@ -7,7 +7,7 @@ Not here: reading the problem (``io/stereo/load.py``), finding conjugate points 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -174,13 +174,14 @@ def orient(
     adjustment = _adjusted(problem, sightings, pairs_only=pairs_only, drift=drift, robust=robust)
     if problem.control is not None and robust:
 
-        def places(control: ControlPoints) -> AdjustedPlaces:
+        def adjusted(control: ControlPoints) -> Adjustment:
             given = replace(problem, control=control)
-            found = _adjusted(given, sightings, pairs_only=False, drift=False, robust=True)
-            return _places(sightings, found, problem.noise, tracked=True)
+            return _adjusted(given, sightings, pairs_only=False, drift=False, robust=True)
 
-        first = _places(sightings, adjustment, problem.noise, tracked=not pairs_only)
-        control, words = weighed_control(sightings, problem.control, problem.point_names, first, places)
+        control, words = _weighed(
+            sightings, problem.control, problem.point_names, problem.noise, adjustment, adjusted,
+            tracked=not pairs_only,
+        )  # fmt: skip
         if words:
             problem = replace(problem, control=control)
             adjustment = _adjusted(problem, sightings, pairs_only=pairs_only, drift=drift, robust=robust)
@@ -264,16 +265,13 @@ def orient_pushbroom(
     if priors is not None and priors.control is not None and robust:
         heights = priors.heights
 
-        def places(control: ControlPoints) -> AdjustedPlaces:
-            found = adjust(sightings, noise, priors=PointPriors(heights, control))
-            return _places(sightings, found, noise, tracked=True)
+        def adjusted(control: ControlPoints) -> Adjustment:
+            return adjust(sightings, noise, priors=PointPriors(heights, control))
 
         numbers = np.arange(1.0, sightings.points + 1.0) if point_names is None else point_names
-        first = _places(sightings, adjustment, noise, tracked=True)
-        control, words = weighed_control(sightings, priors.control, numbers, first, places)
+        control, words = _weighed(sightings, priors.control, numbers, noise, adjustment, adjusted)
         if words:
-            priors = PointPriors(heights, control)
-            adjustment = adjust(sightings, noise, priors=priors)
+            priors, adjustment = PointPriors(heights, control), adjusted(control)
     found = _result("ml-track", labels, sightings, adjustment, noise, priors, None)
     return replace(found, warnings=(*words, *found.warnings))
 
@@ -364,6 +362,26 @@ def _places(sightings: Sightings, found: Adjustment, noise: PoseNoise, *, tracke
     """As of `_points`."""
     held = tracked and found.point_covariance is not None
     return AdjustedPlaces(*_points(sightings, found, noise, tracked=tracked), held)
+
+
+def _weighed(
+    sightings: Sightings,
+    control: ControlPoints,
+    names: Array,
+    noise: PoseNoise,
+    first: Adjustment,
+    adjusted: Callable[[ControlPoints], Adjustment],
+    *,
+    tracked: bool = True,
+) -> tuple[ControlPoints, tuple[str, ...]]:
+    """As of `weighed_control`, from a first adjustment and along whole tracks with other control points."""
+
+    def places(given: ControlPoints) -> AdjustedPlaces:
+        return _places(sightings, adjusted(given), noise, tracked=True)
+
+    return weighed_control(
+        sightings, control, names, _places(sightings, first, noise, tracked=tracked), places
+    )
 
 
 def triangulated(

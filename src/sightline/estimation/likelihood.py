@@ -77,7 +77,7 @@ class FittedSpectrum:
         sizes = iter(self.sizes)
         return Spectrum(
             tuple(
-                replace(c, sigma=max(c.sigma, next(sizes))) if isinstance(c, Tone) else c
+                replace(c, sigma=max(c.sigma, next(sizes, 0.0))) if isinstance(c, Tone) else c
                 for c in self.spectrum.components
             )
         )

@@ -28,7 +28,7 @@ from sightline.io.formats.products.tree import read_xml
 from sightline.io.formats.tables import ATTITUDES, POSITIONS, write_columns
 from sightline.io.init.bands import BandImage, FirstAcquisition, acquisition_text, band_images, path_from
 from sightline.io.init.presets import PRESETS, Preset
-from sightline.io.init.telemetry import FirstSensors, first_sensors
+from sightline.io.init.telemetry import FirstSensors, body_turn, first_sensors
 from sightline.io.names import toml_string
 
 Array = NDArray[np.float64]
@@ -125,12 +125,9 @@ def _flown(product: Product, span: tuple[float, float]) -> Trajectory:
     The model's attitude is a polynomial through that list, which leaves out what the motion had beside it.
     """
     data = read_xml(product.path, WHAT)
-    start, camera = data.text(START), product.model.camera
-    later = camera.first_line_time
+    start, later = data.text(START), product.model.camera.first_line_time
     model = pleiades_attitude(data, start)
-    inside = np.array([0.5 * sum(camera.trajectory.span)])
-    # body axes are chosen for the model: a turn about z from those of the file
-    axes = model(inside - later).inv() * camera.trajectory.at(inside).world_from_body
+    axes = body_turn(product, model)
     t, attitudes = _attitudes(product, model, span, later)
     _check_span(product, span, (float(t[0]), float(t[-1])))
     places = np.arange(span[0], span[1] + _STEP, _STEP)

@@ -5,7 +5,7 @@ Not here: reading them (``io/formats/products/``), fitting gyros (``motion/gyros
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,8 +66,7 @@ def first_sensors(product: Product, flown: Trajectory | None = None) -> FirstSen
         return _unused(str(error))
     if read is None:
         return None
-    modelled = product.model.camera.trajectory
-    trajectory = modelled if flown is None else flown
+    trajectory = product.model.camera.trajectory if flown is None else flown
     later = product.model.camera.first_line_time
     begin, end = trajectory.span
     t = read.t + later
@@ -75,9 +74,7 @@ def first_sensors(product: Product, flown: Trajectory | None = None) -> FirstSen
     held = (read.t_earth >= read.t_attitude[0] - 1e-6) & (read.t_earth <= read.t_attitude[-1] + 1e-6)
     if used.sum() < 2:
         return _unused("fewer than two of their readings lie within the image")
-    # body axes are chosen for the model: a turn about z from those of the file
-    inside = np.array([0.5 * sum(modelled.span)])
-    axes = read.modelled(inside - later).inv() * modelled.at(inside).world_from_body
+    axes = body_turn(product, read.modelled)
     t_known = read.t_earth[held] + later
     known = Rotation.from_rotvec(np.outer(t_known, TURNING)) * read.earth_from_body[held] * axes
     try:
@@ -103,6 +100,16 @@ def first_sensors(product: Product, flown: Trajectory | None = None) -> FirstSen
             "what star trackers measured: the file holds the filter's quaternions alone",
         ),
     )
+
+
+def body_turn(product: Product, attitude: Callable[[Array], Rotation]) -> Rotation:
+    """file_from_body: the turn about z to the body axes that are chosen for the product's model.
+
+    `attitude`: of the file's own axes at times (s) from line 0 of the product.
+    """
+    camera = product.model.camera
+    inside = np.array([0.5 * sum(camera.trajectory.span)])
+    return attitude(inside - camera.first_line_time).inv() * camera.trajectory.at(inside).world_from_body
 
 
 def _unused(why: str) -> FirstSensors:

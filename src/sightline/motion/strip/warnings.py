@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.estimation.prior import Matern
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
+from sightline.motion.estimators.differences import YAW
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
@@ -170,14 +171,8 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
                 f"{parameter.name} is {value:.3g} {parameter.unit}".rstrip() + f" ({ratio:.2g} sigmas)"
             )
     half = 0.5 * strip.grid.step * max(strip.grid.count - 1, 1)
-    allowed = [
-        (sigma, sigma, max(sigma, turn))
-        for sigma, turn in zip(
-            strip.known.usual(),
-            (state.prior.constant_sigma[2], state.prior.drift_sigma[2] / half),
-            strict=True,
-        )
-    ]
+    turns = (state.prior.constant_sigma[YAW], state.prior.drift_sigma[YAW] / half)
+    allowed = [(s, s, max(s, turn)) for s, turn in zip(strip.known.usual(), turns, strict=True)]
     t = motion.t - motion.t.mean()
     lines = np.polynomial.polynomial.polyfit(t, motion.angles, 1) if len(t) > 1 else motion.angles
     kinds = (

@@ -105,7 +105,6 @@ def weighed_control(
     EstimationError
         More than half of them are doubted: nothing shows which are right.
     """
-
     squared = squared_misses(control, np.ones(len(control.point)), first)
     if squared.max(initial=0.0) <= _CUT**2:
         return control, ()
