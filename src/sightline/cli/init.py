@@ -35,7 +35,7 @@ def init(
         typer.Option(
             "--preset",
             metavar="NAME",
-            help="Instrument of images without metadata: sentinel-2-msi, pleiades.",
+            help="Instrument of images without metadata: sentinel-2-msi, zy-3-mux, pleiades.",
         ),
     ] = None,
     bands: Annotated[

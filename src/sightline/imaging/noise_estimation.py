@@ -17,6 +17,7 @@ Not here: electrons and TDI stages (``imaging/strip_noise.py``), files (``io/for
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +30,7 @@ from scipy.special import ndtr
 from sightline.errors import EstimationError, InputError
 
 Array = NDArray[np.float64]
-Codes = NDArray[np.uint8]
+Codes = NDArray[np.unsignedinteger[Any]]
 
 #: Of a drift's spline: pieces over the lines. Noise slower than these counts as drift.
 PIECES = 12
@@ -123,7 +124,7 @@ def resting_noise(codes: Codes, table: CodeTable, pieces: int = PIECES) -> Resti
 
     Parameters
     ----------
-    codes : (lines, columns) uint8
+    codes : (lines, columns) uint8 or uint16
     table : CodeTable
     pieces : int
         Of the spline of each column's drift.

@@ -10,6 +10,7 @@ several images and plain ones (``detector_noise.py``).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ from sightline.imaging.noise_estimation import (
 )
 
 Array = NDArray[np.float64]
-Codes = NDArray[np.uint8]
+Codes = NDArray[np.unsignedinteger[Any]]
 
 #: Lines after the ramp that are not used, and columns at either end of a channel (the response falls there).
 SETTLING, EDGES = 30, (16, 8)
@@ -49,10 +50,10 @@ class StripPixels:
     Attributes
     ----------
     table : CodeTable
-    image, buffer, dark : (lines, columns | buffer columns | dark columns) uint8
-    reverse, reverse_buffer, reverse_dark : (reverse lines, same) uint8
+    image, buffer, dark : (lines, columns | buffer columns | dark columns) uint8 or uint16
+    reverse, reverse_buffer, reverse_dark : (reverse lines, same) uint8 or uint16
         Lines without charge, read just before.
-    ramp : (ramp lines, columns) uint8
+    ramp : (ramp lines, columns) uint8 or uint16
         Lines in which the TDI fills.
     """
 

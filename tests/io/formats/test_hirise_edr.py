@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sightline.errors import FormatError
+from sightline.errors import FormatError, InputError
 from sightline.io.formats.hirise_edr import read_hirise_edr
 
 LINES, COLUMNS, TDI, BINNING = 7, 10, 8, 2
@@ -90,7 +90,14 @@ def test_codes_stand_for_the_middles_of_their_ranges(tmp_path):
         (label(**{"MRO:TDI": '"many"'}), "no number"),
         (label(**{"MRO:BINNING": "0"}), "no counts"),
         (label(**{"MRO:LOOKUP_CONVERSION_TABLE": ""}), "no MRO:LOOKUP_CONVERSION_TABLE"),
-        (label(**{"MRO:LOOKUP_CONVERSION_TABLE": "((0, 0))"}), "1 nodes"),
+        (label(**{"MRO:LOOKUP_CONVERSION_TABLE": "((0, 99), (100, 199))"}), "2 nodes"),
+        (label().replace("SAMPLE_BITS = 8", "SAMPLE_BITS = 12"), "12-bit samples"),
+        (label().replace("SAMPLE_BITS = 8", "SAMPLE_BITS = 16", 1), "8 or 16, in both alike"),
+        (label().replace("SAMPLE_BITS = 8", "SAMPLE_BITS = 16"), "256 nodes, but samples are of 16 bits"),
+        (
+            label(**{"MRO:LOOKUP_CONVERSION_TABLE": ""}).replace("SAMPLE_BITS = 8", "SAMPLE_BITS = 16"),
+            r"with 16-bit samples 30 \+ 32 are read",
+        ),
         (label().replace("(110, 119)", "(910, 919)"), "do not rise"),
         (label().replace("OBJECT = CALIBRATION_IMAGE", "OBJECT = OTHER"), "no OBJECT CALIBRATION_IMAGE"),
         (label().replace("LINE_PREFIX_BYTES = 18", "LINE_PREFIX_BYTES = 0"), r"18 \+ 16"),
@@ -102,6 +109,67 @@ def test_what_is_no_such_file_is_refused_by_name(tmp_path, text, said):
     with pytest.raises(FormatError, match=said) as error:
         read_hirise_edr(tmp_path / "x.IMG")
     assert "x.IMG" in str(error.value)
+
+
+def wide(path, image, **changes):
+    """An EDR of 14-bit values in 16 bits, high byte first, without a table."""
+    columns = image.shape[1]
+    width = 6 + 2 * (12 + columns + 16)
+    keys = {"MRO:LOOKUP_CONVERSION_TABLE": "((0, 0))", "^IMAGE": f"{8193 + CALIBRATION * width} <BYTES>"}
+    text = label(**(keys | changes)).replace(f"LINE_SAMPLES = {COLUMNS}", f"LINE_SAMPLES = {columns}")
+    for a, b in {"SAMPLE_BITS = 8": "SAMPLE_BITS = 16", "PREFIX_BYTES = 18": "PREFIX_BYTES = 30"}.items():
+        text = text.replace(a, b)
+    text = text.replace("SUFFIX_BYTES = 16", "SUFFIX_BYTES = 32")
+    rows = bytearray()
+    for line in (*np.full((CALIBRATION, columns), 900), *image):
+        rows += bytes([255, 0, 232, 0, 0, 0])
+        for value in (*range(1000, 1012), *line, *range(2000, 2016)):
+            rows += int(value).to_bytes(2, "big")
+    path.write_bytes(text.encode().ljust(8192) + rows)
+
+
+def test_values_of_16_bits_are_read_without_a_table(tmp_path):
+    image = np.random.default_rng(2).integers(700, 16000, (LINES, COLUMNS))
+    none = {(0, 1): 0, (1, 2): 16383, (2, 3): 16384, (3, 4): 65535, (4, 5): 65535, (4, 4): 0x12FF}
+    for place, value in none.items():
+        image[place] = value
+    wide(tmp_path / "x.IMG", image)
+    edr = read_hirise_edr(tmp_path / "x.IMG")
+    assert edr.image.arrived.all() and "14 bits, no look-up table" in edr.meaning
+    assert (edr.image.image == image).all()
+    assert (edr.image.buffer == np.arange(1000, 1012)).all()
+    assert (edr.image.dark == np.arange(2000, 2016)).all()
+    # saturation, what no 14 bits hold, gaps, and the half of a pixel that a gap took
+    wanted = np.zeros(image.shape, bool)
+    wanted[tuple(zip(*none, strict=True))] = True
+    assert (edr.none == wanted).all()
+    assert (edr.table.values(edr.image.image)[~wanted] == image[~wanted]).all()
+    assert (edr.pixels().ramp == 900).all()
+    wide(tmp_path / "y.IMG", image, **{"MRO:LOOKUP_CONVERSION_TABLE": "", "MRO:LOOKUP_TABLE_TYPE": '"N/A"'})
+    assert (read_hirise_edr(tmp_path / "y.IMG").image.image == image).all()
+
+
+def test_codes_without_a_table_in_the_label_have_that_of_the_file(tmp_path):
+    board = np.clip(np.arange(16384) // 100, 0, 254).astype(np.uint8)
+    for name, held in (("with", board), ("without", None), ("falling", board[::-1])):
+        path = tmp_path / f"{name}.IMG"
+        end = 8193 + (CALIBRATION + LINES) * (COLUMNS + 34)
+        keys = {"MRO:LOOKUP_CONVERSION_TABLE": "((0, 0))"}
+        write(path, label(**keys, **({} if held is None else {"^LOOKUP_TABLE": f"{end} <BYTES>"})))
+        if held is not None:
+            path.write_bytes(path.read_bytes() + held.tobytes())
+        edr = read_hirise_edr(path)
+        codes = np.array([1, 77, 163, 0, 254, 255], np.uint8)
+        if name == "with":
+            # code c stands for 100 c to 100 c + 99; the last is cut short by the end of 14 bits
+            expected = [149.5, 7749.5, 16341.5, *[np.nan] * 3]
+            assert "used on board" in edr.meaning
+        else:
+            expected = [1, 77, 163, *[np.nan] * 3]
+            assert "neither the label nor the file" in edr.meaning
+            with pytest.raises(InputError, match="holds 8-bit codes and no look-up table"):
+                edr.pixels()
+        np.testing.assert_array_equal(edr.table.values(codes), expected)
 
 
 def test_a_file_cut_short_or_not_there_is_refused(tmp_path):

@@ -20,7 +20,8 @@ CPMM = {"RED4": 5, "RED5": 8, "BG12": 4, "RED0": 0}
 
 
 def edr(folder, ccd, channel, codes, **changes):
-    """A channel whose code c stands for 10 c to 10 c + 9."""
+    """A channel whose code c stands for 10 c to 10 c + 9; of 16 bits the values themselves."""
+    size = codes.dtype.itemsize
     nodes = [(10 * c, 10 * c + 9) for c in range(254)] + [(2540, 16383), (-9998, -9998)]
     calibration = 20 + 20 // BINNING + TDI // BINNING
     keys = {
@@ -38,17 +39,20 @@ def edr(folder, ccd, channel, codes, **changes):
         "MRO:LINE_EXPOSURE_DURATION": f"{80 * BINNING} <MICROSECONDS>",
         "MRO:LOOKUP_CONVERSION_TABLE": f"({', '.join(map(str, nodes))})".replace("), ", "),\n     "),
         "^CALIBRATION_IMAGE": "8193 <BYTES>",
-        "^IMAGE": f"{8193 + calibration * (codes.shape[1] + 34)} <BYTES>",
+        "^IMAGE": f"{8193 + calibration * (6 + size * (codes.shape[1] + 28))} <BYTES>",
     } | changes
     text = "PDS_VERSION_ID = PDS3\r\n" + "".join(f"{k} = {v}\r\n" for k, v in keys.items())
     for name, lines in (("CALIBRATION_IMAGE", calibration), ("IMAGE", len(codes))):
         text += (
-            f"OBJECT = {name}\r\n LINES = {lines}\r\n LINE_SAMPLES = {codes.shape[1]}\r\n SAMPLE_BITS = 8\r\n"
-            f" LINE_PREFIX_BYTES = 18\r\n LINE_SUFFIX_BYTES = 16\r\nEND_OBJECT = {name}\r\n"
+            f"OBJECT = {name}\r\n LINES = {lines}\r\n LINE_SAMPLES = {codes.shape[1]}\r\n"
+            f" SAMPLE_BITS = {8 * size}\r\n LINE_PREFIX_BYTES = {6 + 12 * size}\r\n"
+            f" LINE_SUFFIX_BYTES = {16 * size}\r\nEND_OBJECT = {name}\r\n"
         )
-    rows = np.full((calibration + len(codes), codes.shape[1] + 34), 9, np.uint8)
+    pixels = np.full((calibration + len(codes), codes.shape[1] + 28), 9, codes.dtype.newbyteorder(">"))
+    pixels[calibration:, 12:-16] = codes
+    rows = np.zeros((len(pixels), 6 + size * pixels.shape[1]), np.uint8)
     rows[:, :6] = [255, 0, 232, 0, 0, 0]
-    rows[calibration:, 18:-16] = codes
+    rows[:, 6:] = pixels.view(np.uint8)
     path = folder / f"PSP_000000_0000_{ccd}_{channel}.IMG"
     path.write_bytes((text + "END\r\n").encode().ljust(8192) + rows.tobytes())
     return path
@@ -104,6 +108,30 @@ def test_channels_are_joined_and_clipped_columns_masked(observation, tmp_path, c
         # 64 lines of the CCD summed, 16 of them in a line of the image: 24 before its begin
         assert band["first_line_time"] == pytest.approx(-24 * 80e-6)
     assert len(load_acquisition(out / "acquisition.toml").bands) == 2
+
+
+def test_channels_of_16_bits_are_joined_and_clipped_columns_masked(tmp_path, capsys):
+    """Values of one CCD, codes of the other; a clipped column in each, a gap."""
+    wide, narrow = scene(1).astype(np.uint16) * 60, scene(2)
+    wide[::20, 70], wide[9, 3] = 16383, 0xFFFF
+    narrow[::20, 5] = 254
+    none = {"MRO:LOOKUP_CONVERSION_TABLE": "((0, 0))"}
+    for channel, columns in ((1, slice(0, WIDTH)), (0, slice(WIDTH, None))):
+        edr(tmp_path, "RED4", channel, wide[:, columns], **none)
+        edr(tmp_path, "BG12", channel, narrow[:, columns])
+    assert run(["init", str(tmp_path), "--out", str(tmp_path / "acq")]) == 0
+    said = capsys.readouterr().out
+    assert "RED4: values of 14 bits, no look-up table" in said and "BG12: codes stand for" in said
+    mask = read(tmp_path / "acq" / "RED4_mask.tif").astype(bool)
+    wanted = np.zeros(wide.shape, bool)
+    wanted[:, 70] = wanted[9, 3] = True
+    np.testing.assert_array_equal(mask, wanted)
+    np.testing.assert_array_equal(read(tmp_path / "acq" / "RED4.tif")[~mask], wide[~mask])
+    assert read(tmp_path / "acq" / "BG12_mask.tif")[:, 5].all()
+    # codes whose table is not there do not go together with values
+    edr(tmp_path, "BG12", 0, narrow[:, WIDTH:], **none)
+    assert run(["init", str(tmp_path), "--out", str(tmp_path / "acq2")]) == 2
+    assert "codes of a table that is not there" in capsys.readouterr().err
 
 
 def test_ccds_look_where_the_kernel_says(observation, tmp_path):

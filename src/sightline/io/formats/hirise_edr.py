@@ -2,9 +2,11 @@
 
 A line is 6 bytes of identification, 12 buffer pixels (empty, through the electronics), the image, and 16 dark
 reference pixels (masked detectors). Before the image stand calibration lines of the same form: 20 read while
-the charge was clocked the other way, then lines of masked rows, then the ramp in which the TDI fills. Counts,
-offsets and the 8-bit look-up table are the label's; the split of the calibration lines is that of ISIS
-``histat`` (20, 20 / binning, TDI / binning). GDAL's PDS driver skips no line prefix, so bytes are read here.
+the charge was clocked the other way, then lines of masked rows, then the ramp in which the TDI fills. Pixels
+are 8-bit codes of a look-up table, which the label or the file holds, or 14-bit values in 16 bits, high byte
+first. Counts and offsets are the label's; the split of the calibration lines is that of ISIS ``histat`` (20,
+20 / binning, TDI / binning), codes that are no value those of ``hi2isis``. GDAL's PDS driver skips no line
+prefix, so bytes are read here.
 
 Not here: what the pixels say of noise (``imaging/noise_estimation.py``).
 """
@@ -12,8 +14,10 @@ Not here: what the pixels say of noise (``imaging/noise_estimation.py``).
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,31 +27,35 @@ from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.imaging.noise_estimation import CodeTable
 from sightline.imaging.strip_noise import StripPixels
 
-Codes = NDArray[np.uint8]
+Codes = NDArray[np.unsignedinteger[Any]]
 
 #: Bytes of a label that are looked at for its END; all HiRISE labels stop well before.
 LABEL_BYTES = 65536
-#: Bytes before and behind the image in a line, and bytes of the prefix that identify the line.
-PREFIX, SUFFIX, IDENTITY = 18, 16, 6
+#: Bytes of a line that identify it, pixels before the image, and pixels behind it.
+IDENTITY, BUFFER, DARK = 6, 12, 16
 #: A line that arrived begins with this (the first 19 bits of the label's synchronisation pattern).
 SYNCHRONISATION = 0b1111111100000000111
 #: Ticks of the spacecraft's clock in a second.
 TICKS = 65536
 #: Calibration lines that are read with the charge clocked backwards, and rows of the mask (unbinned).
 REVERSE_LINES, MASK_ROWS = 20, 20
-#: Codes that are no value: low saturation, high saturation, gap (as ISIS ``hi2isis`` takes them).
+#: Codes of 8 bits that are no value: low saturation, high saturation, gap.
 SPECIAL = (0, 254, 255)
+#: Values of 14 bits, whose first and last are saturation; a gap in 16 bits, and in one byte of them.
+_VALUES, _GAP, _HALF_GAP = 16384, 0xFFFF, 0xFF
+#: Words of a label that says that no look-up table was used.
+_NO_TABLE = ("N/A", "NULL", "NONE", "")
 
 
 @dataclass(frozen=True, eq=False)
 class HiriseLines:
-    """Lines of one kind, 8-bit codes.
+    """Lines of one kind, codes of 8 bits or values of 14.
 
     Attributes
     ----------
-    buffer : (lines, 12) uint8
-    image : (lines, columns) uint8
-    dark : (lines, 16) uint8
+    buffer : (lines, 12) uint8 or uint16
+    image : (lines, columns) uint8 or uint16
+    dark : (lines, 16) uint8 or uint16
     arrived : (lines,) bool
         The line's header is whole.
     """
@@ -72,7 +80,9 @@ class HiriseEdr:
     line_period : float
         s between lines of the (binned) image.
     table : CodeTable
-        14-bit values behind each code.
+        14-bit values behind each code; of values themselves, the values.
+    meaning : str
+        In words, what the values are.
     image, calibration : HiriseLines
     """
 
@@ -81,8 +91,20 @@ class HiriseEdr:
     binning: int
     line_period: float
     table: CodeTable
+    meaning: str
     image: HiriseLines
     calibration: HiriseLines
+
+    @property
+    def none(self) -> NDArray[np.bool_]:
+        """(lines, columns) where the image has no value: clipped or unused codes, gaps."""
+        codes = self.image.image
+        bad = np.isnan(self.table.lower)[codes]
+        if codes.dtype != np.uint8:
+            # one byte was lost with the pixel beside it
+            lost = codes == _GAP
+            bad[:, :-1] |= lost[:, 1:] & (codes[:, :-1] & _HALF_GAP == _HALF_GAP)
+        return np.asarray(bad)
 
     @property
     def reverse(self) -> slice:
@@ -96,7 +118,15 @@ class HiriseEdr:
         return slice(first, first + self.stages // self.binning)
 
     def pixels(self) -> StripPixels:
-        """What the estimate of noise reads; lines that did not arrive whole are left out."""
+        """What the estimate of noise reads; lines that did not arrive whole are left out.
+
+        InputError where the values behind its codes are not known.
+        """
+        if self.meaning == CODES:
+            raise InputError(
+                f"{self.product}: holds 8-bit codes and no look-up table, which says what values they stand "
+                "for; noise needs values: give a product with its table"
+            )
         image, calibration = self.image, self.calibration
         whole = image.arrived
         return StripPixels(
@@ -198,7 +228,13 @@ def read_hirise_edr(path: Path) -> HiriseEdr:
     """
     content = read_bytes(path, "a HiRISE EDR", most=LARGE)
     label = _Label(path, content[:LABEL_BYTES].decode("latin-1"))
-    table = _code_table(label)
+    bits = {name: label.integer("SAMPLE_BITS", label.object(name)) for name in ("IMAGE", "CALIBRATION_IMAGE")}
+    if set(bits.values()) not in ({8}, {16}):
+        raise label.refused(
+            f"IMAGE has {bits['IMAGE']}-bit samples, CALIBRATION_IMAGE {bits['CALIBRATION_IMAGE']}-bit ones; "
+            "8 or 16, in both alike, are read"
+        )
+    table, meaning = _table(label, content, bits["IMAGE"])
     binning, stages = _counts(label)
     period = label.number("MRO:LINE_EXPOSURE_DURATION") * 1e-6
     return HiriseEdr(
@@ -207,6 +243,7 @@ def read_hirise_edr(path: Path) -> HiriseEdr:
         binning,
         period,
         table,
+        meaning,
         _lines(label, content, "IMAGE"),
         _lines(label, content, "CALIBRATION_IMAGE"),
     )
@@ -257,12 +294,46 @@ class _Label:
         return found[1]
 
 
-def _code_table(label: _Label) -> CodeTable:
+#: What values are: by the table of the label, or of the file; not coded; not known.
+BY_LABEL = "codes stand for the middle of their range in the label's look-up table; 0, 254 and 255 are none"
+ON_BOARD = (
+    "codes stand for the middle of their range in the table that was used on board; 0, 254, 255 are none"
+)
+VALUES = "values of 14 bits, no look-up table; 0 and 16383 are clipped, larger ones gaps"
+CODES = (
+    "8-bit codes as they are: neither the label nor the file holds their look-up table; 0, 254, 255 are none"
+)
+
+
+def _table(label: _Label, content: bytes, bits: int) -> tuple[CodeTable, str]:
+    """The value behind each code, and in words what that is."""
     key = "MRO:LOOKUP_CONVERSION_TABLE"
     found = re.search(rf"{key}\s*=\s*\(([-\d\s,()]*)\)", label.text)
+    pairs = [] if found is None else re.findall(r"\(\s*(-?\d+)\s*,\s*(-?\d+)\s*\)", found[1])
+    kind = re.search(r"^\s*MRO:LOOKUP_TABLE_TYPE\s*=\s*\"?(.*?)\"?\s*$", label.text, re.MULTILINE)
+    # (0, 0) alone stands for none
+    without = pairs == [("0", "0")] or (not pairs and kind is not None and kind[1].upper() in _NO_TABLE)
+    if bits == 16 and (without or not pairs):
+        return _themselves(2**16, (0, *range(_VALUES - 1, 2**16))), VALUES
+    if bits == 16:
+        raise label.refused(f"{key} has {len(pairs)} nodes, but samples are of 16 bits, which none codes")
+    if without:
+        board = _on_board(label, content)
+        return (_themselves(256, SPECIAL), CODES) if board is None else (board, ON_BOARD)
     if found is None:
         raise label.refused(f"its label has no {key}")
-    pairs = np.array(re.findall(r"\(\s*(-?\d+)\s*,\s*(-?\d+)\s*\)", found[1]), dtype=np.float64)
+    return _code_table(label, key, np.array(pairs, dtype=np.float64)), BY_LABEL
+
+
+def _themselves(count: int, none: Sequence[int]) -> CodeTable:
+    """Codes that stand for their own number; some for none."""
+    values = np.arange(float(count))
+    values[list(none)] = np.nan
+    return CodeTable(values - 0.5, values + 0.5)
+
+
+def _code_table(label: _Label, key: str, pairs: NDArray[np.float64]) -> CodeTable:
+    """The label's pairs of first and last value."""
     if pairs.shape != (256, 2):
         raise label.refused(f"{key} has {len(pairs)} nodes; the 256 of an 8-bit table are needed")
     pairs[list(SPECIAL)] = np.nan
@@ -273,16 +344,32 @@ def _code_table(label: _Label) -> CodeTable:
         raise label.refused(f"{key}: {error}") from None
 
 
+def _on_board(label: _Label, content: bytes) -> CodeTable | None:
+    """The table of the file, a code for each of 16,384 values; None where there is none."""
+    start = re.search(r"^\s*\^LOOKUP_TABLE\s*=\s*(\d+)", label.text, re.MULTILINE)
+    first = -1 if start is None else int(start[1]) - 1
+    codes = np.frombuffer(content, np.uint8)[first : first + _VALUES]
+    if first < 0 or len(codes) < _VALUES or (np.diff(codes.astype(int)) < 0).any() or codes[0] == codes[-1]:
+        return None
+    lower, upper = (np.full(256, np.nan) for _ in range(2))
+    used, begin, count = np.unique(codes, return_index=True, return_counts=True)
+    lower[used], upper[used] = begin - 0.5, begin + count - 0.5
+    lower[list(SPECIAL)] = upper[list(SPECIAL)] = np.nan
+    return CodeTable(lower, upper)
+
+
 def _lines(label: _Label, content: bytes, name: str) -> HiriseLines:
     place = label.object(name)
     lines, columns = label.integer("LINES", place), label.integer("LINE_SAMPLES", place)
+    size = label.integer("SAMPLE_BITS", place) // 8
     around = (label.integer("LINE_PREFIX_BYTES", place), label.integer("LINE_SUFFIX_BYTES", place))
-    if around != (PREFIX, SUFFIX) or label.integer("SAMPLE_BITS", place) != 8:
+    prefix, suffix = IDENTITY + BUFFER * size, DARK * size
+    if around != (prefix, suffix):
         raise label.refused(
-            f"{name} has {around[0]} + {around[1]} bytes about its lines and "
-            f"{label.integer('SAMPLE_BITS', place)}-bit samples; {PREFIX} + {SUFFIX} and 8 are read"
+            f"{name} has {around[0]} + {around[1]} bytes about its lines; with {8 * size}-bit samples "
+            f"{prefix} + {suffix} are read"
         )
-    start, width = label.integer(f"^{name}") - 1, PREFIX + columns + SUFFIX
+    start, width = label.integer(f"^{name}") - 1, prefix + columns * size + suffix
     if lines < 1 or columns < 1 or start < 0:
         raise label.refused(f"{name} has {lines} lines of {columns} samples from byte {start + 1}")
     if start + lines * width > len(content):
@@ -293,4 +380,12 @@ def _lines(label: _Label, content: bytes, name: str) -> HiriseLines:
     first = (rows[:, :3].astype(np.int64) << np.array([16, 8, 0])).sum(axis=1)
     # the label calls the prefix's last bit a "bad line" flag, but it is the last bit of the line counter
     arrived = first >> 5 == SYNCHRONISATION
-    return HiriseLines(rows[:, IDENTITY:PREFIX], rows[:, PREFIX:-SUFFIX], rows[:, -SUFFIX:], arrived)
+    pixels = _codes(rows[:, IDENTITY:], size)
+    return HiriseLines(pixels[:, :BUFFER], pixels[:, BUFFER:-DARK], pixels[:, -DARK:], arrived)
+
+
+def _codes(rows: NDArray[np.uint8], size: int) -> Codes:
+    """Bytes of lines as numbers of so many bytes, the highest first."""
+    if size == 1:
+        return rows
+    return np.ascontiguousarray(rows).view(">u2").astype(np.uint16)

@@ -11,7 +11,10 @@ import re
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
+
+import numpy as np
 
 from sightline.access import check_file
 from sightline.errors import InputError
@@ -23,6 +26,12 @@ from sightline.io.names import toml_string
 
 #: In the place of a band's name: it is left out.
 _LEFT_OUT = "-"
+#: How many times longer or shorter than published a lag may be: with how fast the camera sweeps the ground.
+_UNLIKE = 2.0
+#: px; sides of a band at least: of the smallest window that is matched.
+_LEAST_SIDE = 8
+#: Lines of a band that are read at a time to see whether there is anything in it.
+_AT_A_TIME = 1024
 
 
 @dataclass(frozen=True)
@@ -152,7 +161,63 @@ def band_images(preset: Preset, images: Sequence[Path], names: Sequence[str] = (
         if name != _LEFT_OUT
     ]
     _check(preset, bands)
+    for band in bands:
+        _check_pixels(band)
     return bands
+
+
+def judged_lags(path: Path, given: Preset, published: Preset, bands: Sequence[BandImage]) -> tuple[str, ...]:
+    """What there is to say of the lags that a product gives.
+
+    Parameters
+    ----------
+    path : Path
+        Metadata that give them.
+    given, published : Preset
+        With the lags of the product, and of its instrument.
+    bands : sequence of BandImage
+        Whose lags are used.
+
+    Raises
+    ------
+    InputError
+        If two bands see the ground at one time, or one sees it at another time than the instrument can.
+    """
+    _check_apart(path, given, bands)
+    lags = {band.name: given.lags[band.name] for band in bands if published.lags.get(band.name)}
+    for name, lag in lags.items():
+        if not 1.0 / _UNLIKE <= abs(lag / published.lags[name]) <= _UNLIKE:
+            raise InputError(
+                f"{path}: {name} sees the ground {1e3 * lag:.4g} ms after the first band; published are "
+                f"{1e3 * published.lags[name]:.4g} ms, and up to {_UNLIKE:g} times more or less are taken; "
+                "is the file whole, and of this instrument?"
+            )
+    if min(lags.values(), default=1.0) < 0.0 < max(lags.values(), default=-1.0):
+        told = ", ".join(f"{name} {1e3 * lag:.4g} ms" for name, lag in lags.items())
+        raise InputError(
+            f"{path}: bands see the ground on both sides of the first one ({told}); one side is expected"
+        )
+    off = {name: abs(abs(lag) - published.lags[name]) for name, lag in lags.items()}
+    most = max(off, key=lambda name: off[name], default="")
+    if not most:
+        return (f"lags by {path.name}: none are published of its bands",)
+    said = f"lags by {path.name}, {1e3 * off[most]:.2g} ms at most ({most}) off those published"
+    if published.signed and lags[most] < 0.0:
+        return said, "bands see the ground before the first one: a reverse scan, which is not verified"
+    return (said,)
+
+
+def _check_apart(path: Path, given: Preset, bands: Sequence[BandImage]) -> None:
+    """InputError where two bands see the ground at one time."""
+    for a, b in combinations([band.name for band in bands], 2):
+        apart = given.lags[b] - given.lags[a]
+        line = given.line_period * max(given.wide_of(a), given.wide_of(b))
+        if abs(apart) <= line:
+            raise InputError(
+                f"{path}: {a} and {b} see the ground {1e3 * apart:.3g} ms after one another, less than a "
+                f"line ({1e3 * line:.3g} ms): bands of one time show no motion, and those of this "
+                "instrument have lags of their own; correct the file, or leave one of them out"
+            )
 
 
 def _check(preset: Preset, bands: Sequence[BandImage]) -> None:
@@ -160,6 +225,12 @@ def _check(preset: Preset, bands: Sequence[BandImage]) -> None:
     if len(bands) < 2:
         given = bands[0].name if bands else "none"
         raise InputError(f"too few bands ({given}); motion is seen between two or more: give others too")
+    for band in bands:
+        if min(band.lines, band.columns) < _LEAST_SIDE:
+            raise InputError(
+                f"{band.path}: band {band.number} has {band.lines} lines x {band.columns} columns; "
+                f"{_LEAST_SIDE} or more of each are needed for a window that can be matched"
+            )
     met: dict[str, BandImage] = {}
     for band in bands:
         first = met.setdefault(band.name, band)
@@ -175,6 +246,22 @@ def _check(preset: Preset, bands: Sequence[BandImage]) -> None:
                 f"{band.path} has {band.columns} columns, {bands[0].path} {bands[0].columns}{pixels}; bands "
                 "that show the same columns are expected"
             )
+
+
+def _check_pixels(band: BandImage) -> None:
+    """InputError where all pixels of a band are alike, or none is a number."""
+    image, held = open_image(band.path, band.number), None
+    for first in range(0, band.lines, _AT_A_TIME):
+        last = min(first + _AT_A_TIME, band.lines)
+        pixels = image.read((first, last), (0, band.columns))
+        masked = image.mask((first, last), (0, band.columns))
+        pixels = pixels[np.isfinite(pixels) if masked is None else np.isfinite(pixels) & ~masked]
+        if len(pixels):
+            held = pixels[0] if held is None else held
+            if (pixels != held).any():
+                return
+    what = "holds no pixel that is a number" if held is None else f"holds {held:g} in every pixel"
+    raise InputError(f"{band.path}: band {band.number} ({band.name}) {what}; give the band as it was exposed")
 
 
 def _known(preset: Preset, name: str) -> str:

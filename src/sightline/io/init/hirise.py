@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
 from sightline.io.formats.hirise_edr import (
-    SPECIAL,
+    CODES,
     TICKS,
     HiriseSetting,
     read_hirise_edr,
@@ -153,7 +153,7 @@ def acquisition_of_edrs(paths: Sequence[Path], folder: Path) -> FirstAcquisition
         f"straight and level flight {_ALTITUDE / 1e3:g} km above the ground (that of the kernel), at "
         f"{speed:.0f} m/s, so that a line of {first.name} moves on by one pixel of its CCD (TDI)",
         f"CCDs are placed to {_OFFSET_SIGMA:g} px (1-sigma) beside one another",
-        "codes stand for the middle of their range in the label's look-up table; 0, 254 and 255 are none",
+        *_meanings(joined),
     )
     unknown = (
         _KERNELS,
@@ -186,6 +186,14 @@ def acquisition_of_edrs(paths: Sequence[Path], folder: Path) -> FirstAcquisition
     return FirstAcquisition(
         acquisition_text(assumed, unknown, parts, folder), assumed, unknown, found, lacking, _Beside(joined)
     )
+
+
+def _meanings(joined: Sequence[_Joined]) -> list[str]:
+    """What values are, once where that is alike for all CCDs."""
+    of = {one.ccd.name: one.meaning for one in joined}
+    if len(set(of.values())) == 1:
+        return [joined[0].meaning]
+    return [f"{name}: {meaning}" for name, meaning in of.items()]
 
 
 def _ccds(paths: Sequence[Path]) -> list[_Ccd]:
@@ -242,12 +250,21 @@ class _Joined:
     columns: int
     masked: bool
     mirrored: tuple[int, ...]
+    meaning: str
     said: tuple[str, ...]
 
     @staticmethod
     def of(ccd: _Ccd) -> _Joined:
         """Reads the channels of a CCD."""
-        halves = {channel: _half(path) for channel, (path, _) in ccd.channels.items()}
+        read = {channel: _half(path) for channel, (path, _) in ccd.channels.items()}
+        halves = {channel: (values, bad) for channel, (values, bad, _) in read.items()}
+        meanings = {meaning for _, _, meaning in read.values()}
+        if len(meanings) > 1 and CODES in meanings:
+            a, b = (path for path, _ in ccd.channels.values())
+            raise InputError(
+                f"{a} and {b} are channels of {ccd.name}, but one holds values and the other codes of a "
+                "table that is not there: give one of them alone"
+            )
         lines = min(len(values) for values, _ in halves.values())
         said = []
         wide = {values.shape[1] for values, _ in halves.values()}
@@ -278,25 +295,26 @@ class _Joined:
             f"{ccd.name}: channel {channel} was mirrored: only so do its columns go on across the middle"
             for channel in mirrored
         ]
-        return _Joined(ccd, lines, values.shape[1], bool(bad.any()), mirrored, tuple(said))
+        meaning = "; ".join(sorted(meanings))
+        return _Joined(ccd, lines, values.shape[1], bool(bad.any()), mirrored, meaning, tuple(said))
 
     def pixels(self) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
         """Values (lines, columns) and which of them are none."""
-        halves = {channel: _half(path) for channel, (path, _) in self.ccd.channels.items()}
+        halves = {channel: _half(path)[:2] for channel, (path, _) in self.ccd.channels.items()}
         return _side_by_side(halves, self.lines, self.mirrored)
 
 
-def _half(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Values of a channel, 14 bit, and which are none: clipped or missing ones, whole columns and lines."""
+def _half(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_], str]:
+    """Values of a channel, where there is none (clipped, missing, whole columns), and what they are."""
     edr = read_hirise_edr(path)
-    codes = edr.image.image
-    bad = np.isin(codes, SPECIAL)
-    table = np.nan_to_num(edr.table.values(np.arange(256, dtype=np.uint8)))
+    bad = edr.none
+    codes = np.arange(len(edr.table.lower), dtype=np.uint16)
+    values = np.round(np.where(np.isnan(edr.table.lower), 0.0, edr.table.values(codes))).astype(np.uint16)
     whole = edr.image.arrived
     if whole.any():
         bad[:, bad[whole].mean(axis=0) > _CLIPPED] = True
     bad[~whole] = True
-    return np.round(table).astype(np.uint16)[codes], bad
+    return values[edr.image.image], bad, edr.meaning
 
 
 def _side_by_side(

@@ -72,8 +72,11 @@ class Preset:
 
 PRESETS = {
     "sentinel-2-msi": Preset(
-        instrument="Sentinel-2 MSI, bands of 10 m in sensor geometry (Level-1B)",
-        lags={"B02": 0.0, "B08": 0.264, "B03": 0.527, "B04": 1.005},
+        instrument="Sentinel-2 MSI, bands of the visible and near infrared in sensor geometry (Level-1B)",
+        lags={
+            **{"B02": 0.0, "B08": 0.264, "B03": 0.527, "B04": 1.005},
+            **{"B05": 1.269, "B06": 1.525, "B07": 1.79, "B8A": 2.055, "B01": 2.314, "B09": 2.586},
+        },
         # the bound of 2 % taken as that of an even distribution
         lag_sigma=0.02 / 3.0**0.5,
         altitude=786e3,
@@ -83,12 +86,33 @@ PRESETS = {
         offset_sigma_px=3.0,
         rotation_sigma=3e-3,
         sources=(
-            "lags of the bands, altitude 786 km, pixel 10 m: ESA, Sentinel-2 User Handbook, 2015",
+            "lags of bands of 10 m, altitude 786 km, pixel 10 m: ESA, Sentinel-2 User Handbook, 2015; lags "
+            "of bands of 20 and 60 m: Heiselberg and Heiselberg, Remote Sensing 13 (2021) 3016, table 1",
             "true lags depart from these by up to 2 %: Binet, Bergsma and Poulain, ISPRS Annals V-1-2022, 57",
             "line period 1.5 ms, speed 10 m a line: rounded from the 6.64 km/s that a circular orbit of this "
             "altitude has over the ground (Kepler's third law)",
         ),
-        without="bands of 20 and 60 m: their lags are not among the sources of this preset",
+        wide={"B05": 2, "B06": 2, "B07": 2, "B8A": 2, "B01": 6, "B09": 6},
+        without="B10, B11, B12: of a focal plane of their own, whose side on each detector no source tells",
+    ),
+    "zy-3-mux": Preset(
+        instrument="ZY-3 (01) MUX, four bands in sensor geometry",
+        lags={"B1": 0.0, "B2": 0.1216, "B3": 0.224, "B4": 0.3264},
+        lag_sigma=0.01,
+        altitude=506e3,
+        ground_speed=7.05e3,
+        line_period=0.8e-3,
+        pixel=5.8,
+        offset_sigma_px=3.0,
+        rotation_sigma=3e-3,
+        sources=(
+            "lags of 152, 128 and 128 lines, 121.6, 102.4 and 102.4 ms from band to band, and by them the "
+            "line period: Ye and others, ISPRS Annals II-3/W4 (2015) 279, after Pan and others (2013)",
+            "altitude 506 km, pixels of 5.8 m: eoPortal, ZY-3A; speed over the ground 7.05 km/s: that of a "
+            "circular orbit of this altitude (Kepler's third law)",
+            "how well these lags hold is not published: 1 % (1-sigma), as those of Sentinel-2 change with "
+            "altitude and optics",
+        ),
     ),
     "pleiades": Preset(
         instrument="Pleiades HiRI, panchromatic and four colours in sensor geometry (levels L0, L1A)",
@@ -119,8 +143,12 @@ _LACKING = {
         "landsat",
         "oli",
     ): "when each band and module of Landsat's OLI sees the ground in sensor geometry (L0, L1R)",
-    ("zy-3", "zy3", "ziyuan"): "times of the lines of ZY-3's cameras and where their detectors look",
-    ("aster",): "lags of ASTER's bands in sensor geometry (level 1A)",
+    (
+        "aster",
+    ): "lags of ASTER's bands in sensor geometry (level 1A): of its SWIR the interval of neighbours is "
+    "published, 356.238 ms (Teshima and Iwasaki, IEEE TGRS 46 (2008) 222), not their order",
+    ("prism", "alos"): "which lines of PRISM's detectors see the ground when",
+    ("planet", "dove", "skysat"): "lags of Planet's bands, which differ from satellite to satellite",
 }
 _HIRISE = "HiRISE needs no preset: give its EDRs, `sightline init CHANNELS... --out DIR`"
 

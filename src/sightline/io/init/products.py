@@ -21,7 +21,14 @@ from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
 from sightline.io.formats.products.sentinel2 import FINE, datastrip_of, read_granule_times
 from sightline.io.init.agreement import agreement, contradiction
-from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, acquisition_text, path_from
+from sightline.io.init.bands import (
+    FirstAcquisition,
+    acquisition_of_bands,
+    acquisition_text,
+    band_images,
+    judged_lags,
+    path_from,
+)
 from sightline.io.init.hirise import acquisition_of_edrs
 from sightline.io.init.mosaic import mosaic
 from sightline.io.init.presets import PRESETS
@@ -30,9 +37,9 @@ from sightline.io.init.telemetry import FirstSensors, first_sensors
 from sightline.io.names import toml_string
 from sightline.writing import whole_text
 
-#: Endings of images that are looked for beside metadata that do not name them.
 #: Names of raw images of JunoCam.
 _RAW = re.compile(r"JNC[ER]_\d{7}_.*\.(png|tiff?)$", re.IGNORECASE)
+#: Endings of images that are looked for beside metadata that do not name them.
 _IMAGES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img", ".vrt", ".til")
 #: s between the last line of a product and the first of another from which on they are two strips.
 _APART = 60.0
@@ -248,12 +255,13 @@ def _of_granule(
         ),
     )
     begun = acquisition_of_bands(preset, images, folder, names)
+    said = judged_lags(strips[0], preset, known, band_images(preset, images, names))
     unknown = (
         *begun.unknown,
         "where columns look: in calibration files (GIPP) that are no part of the product",
         "bands of 20 and 60 m: give those of 10 m",
     )
-    return replace(begun, unknown=unknown)
+    return replace(begun, unknown=unknown, found=said)
 
 
 def _size(product: Product) -> str:

@@ -1,7 +1,7 @@
 """An ACQUISITION.toml for raw bands beside the metadata of a product that was made of them.
 
 The metadata give the orbit, the attitudes and the lags of the bands. Where the real detectors look they do
-not say: each band looks where it sees at its own time what line 0 of the first band sees.
+not say: each band looks where it sees at its own time what line 0 of the product sees.
 
 Not here: bands without metadata (``bands.py``), gyros (``telemetry.py``).
 """
@@ -26,7 +26,14 @@ from sightline.io.formats.products.pleiades_telemetry import read_pleiades_telem
 from sightline.io.formats.products.product import Product
 from sightline.io.formats.products.tree import read_xml
 from sightline.io.formats.tables import ATTITUDES, POSITIONS, write_columns
-from sightline.io.init.bands import BandImage, FirstAcquisition, acquisition_text, band_images, path_from
+from sightline.io.init.bands import (
+    BandImage,
+    FirstAcquisition,
+    acquisition_text,
+    band_images,
+    judged_lags,
+    path_from,
+)
 from sightline.io.init.presets import PRESETS, Preset
 from sightline.io.init.telemetry import FirstSensors, body_turn, first_sensors
 from sightline.io.names import toml_string
@@ -63,17 +70,19 @@ def acquisition_of_raw_bands(
             "lags of bands in sensor geometry; give the product alone, or the images with --preset NAME "
             f"({', '.join(PRESETS)})"
         )
-    preset = replace(PRESETS["pleiades"], lags={**product.raw.lags}, line_period=product.raw.line_period)
+    if product.raw.doubt:
+        raise InputError(f"{product.path}: does not say when raw bands were exposed: {product.raw.doubt}")
+    known = PRESETS["pleiades"]
+    preset = replace(known, lags={**product.raw.lags}, line_period=product.raw.line_period)
     bands = band_images(preset, images, names)
-    first = {band.name: preset.lags[band.name] for band in bands}
+    said = judged_lags(product.path, preset, known, bands)
+    first = {band.name: product.raw.begin + preset.lags[band.name] for band in bands}
+    _check_begin(product, product.raw.begin)
     ends = [first[band.name] + preset.line_period * preset.wide_of(band.name) * band.lines for band in bands]
     flown = _flown(product, (min(first.values()) - _BEYOND, max(ends) + _BEYOND))
     camera = product.model.camera
     mount = _mount(camera.pointing, camera.detector.directions)
-    looks = {
-        band.name: _look(flown, mount, first[bands[0].name], first[band.name], product.height or 0.0)
-        for band in bands
-    }
+    looks = {band.name: _look(flown, mount, first[band.name], product.height or 0.0) for band in bands}
     sensors = first_sensors(product, flown)
     assumed = (
         f"bands in sensor geometry of {product.kind}, {product.name}",
@@ -98,7 +107,7 @@ def acquisition_of_raw_bands(
         *([sensors.text] if sensors is not None and sensors.text else []),
     ]
     text = acquisition_text(assumed, unknown, parts, folder)
-    return FirstAcquisition(text, assumed, unknown, write=_Tables(flown, sensors))
+    return FirstAcquisition(text, assumed, unknown, said, write=_Tables(flown, sensors))
 
 
 @dataclass(frozen=True)
@@ -148,6 +157,17 @@ def _attitudes(
     return t, model(t - later)
 
 
+def _check_begin(product: Product, begin: float) -> None:
+    """InputError where the first band sees the first line's ground at another time than such bands do."""
+    most = 2.0 * max(PRESETS["pleiades"].lags.values())
+    if abs(begin) > most:
+        raise InputError(
+            f"{product.path}: its first band sees row 1 (ORIGIN_TIME, ORIGIN_FULL_RES_LINE) {begin:.4g} s "
+            f"after the model's first line; within {most:.2g} s is expected, as bands see the ground one "
+            "after the other: are these the times of this product?"
+        )
+
+
 def _check_span(product: Product, span: tuple[float, float], known: tuple[float, float]) -> None:
     """InputError where images are exposed outside of what is known of the attitude."""
     begin, end = span[0] + _BEYOND, span[1] - _BEYOND
@@ -171,9 +191,9 @@ def _mount(pointing: object, directions: Array) -> Rotation:
     return pointing.body_from_camera * Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z]))
 
 
-def _look(flown: Trajectory, mount: Rotation, first: float, own: float, height: float) -> tuple[float, float]:
-    """Tangents ahead and to larger columns at which a band sees at `own` (s) the first one's line 0."""
-    here, there = flown.at(np.array([first])), flown.at(np.array([own]))
+def _look(flown: Trajectory, mount: Rotation, own: float, height: float) -> tuple[float, float]:
+    """Tangents ahead and to larger columns at which a band sees at `own` (s) line 0 of the product."""
+    here, there = flown.at(np.array([0.0])), flown.at(np.array([own]))
     axis = (here.world_from_body * mount).apply([0.0, 0.0, 1.0])
     ground = Ellipsoid(height=height).intersect(here.position, axis)
     seen = (there.world_from_body * mount).inv().apply(ground - there.position)[0]
@@ -218,7 +238,7 @@ def _band(
         f"name = {toml_string(band.name)}",
         f"image = {toml_string(path_from(band.path, folder))}",
         f"image_band = {band.number}",
-        f"first_line_time = {first!r}   # s; {'the lag, +- 0.003 s' if first else 'lags count from here'}",
+        f"first_line_time = {first!r}   # s from line 0 of the product; lags are known to 0.003 s",
         f"look_ahead = {math.atan(look[0]) + 0.0!r}   # rad: where it sees the same ground",
         f"offset_px = [0.0, {look[1] / (preset.ifov * wide) + 0.0!r}]   # likewise",
         f"offset_sigma_px = {preset.offset_sigma_px!r}",

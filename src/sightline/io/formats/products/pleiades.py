@@ -10,6 +10,7 @@ Not here: counters of gyros and quaternions (``pleiades_telemetry.py``), Airbus'
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -45,8 +46,10 @@ _POLYNOMIALS = f"{_MODEL}/Sensor_Attitudes/Polynomial_Models"
 _VIEW = f"{_MODEL}/Sensor_Viewing_Model"
 _RFM = "Geoposition/Rational_Sensor_Model/Global_RFM"
 _MILLISECONDS = {"ms": 1e-3, "s": 1.0, "us": 1e-6}
-#: The band whose lines count.
-_PANCHROMATIC = "PA"
+#: The band whose lines count, and what they are counted in.
+_PANCHROMATIC, _OF_PRODUCT = "PA", "PRODUCT"
+#: s by which arrays of a band may see row 1 after one another: what lags are known to.
+_ONE_TIME = 3e-3
 _STILL = (
     "the image is resampled by its maker to one virtual line (Pleiades, level SENSOR), its attitude a "
     "polynomial: it holds no motion; raw bands in sensor geometry would do (levels L0, L1A): give their "
@@ -91,21 +94,38 @@ def read_pleiades(path: Path, reference: tuple[float, float] | None = None) -> P
 
 
 def _raw(data: Part, start: str) -> RawBands | None:
-    """Lags of the bands' first rows after the panchromatic one's."""
+    """When the bands saw row 1 of the product, after the panchromatic one and after the model's line 0."""
     stamp = "Data_Strip/Sensor_Configuration/Time_Stamp"
     if not data.has(f"{stamp}/Band_TS_List/Band_TS"):
         return None
     zero = parse_utc(start, f"{data.path}")
-    first = {
-        part.text("BAND_ID"): elapsed(
-            part.text("Array_TS_List/Array_TS/ORIGIN_TIME"), zero, f"{part.path}: {part.place}/ORIGIN_TIME"
-        )
-        for part in some(data, f"{stamp}/Band_TS_List/Band_TS", 2)
-    }
+    period = line_period(data, f"{stamp}/PA_LINE_PERIOD", _MILLISECONDS)
+    first: dict[str, float] = {}
+    uneven = []
+    for part in some(data, f"{stamp}/Band_TS_List/Band_TS", 2):
+        name = part.text("BAND_ID")
+        if name in first:
+            raise part.refused("BAND_ID", f"is {name}, as that of another: its times are given twice")
+        begun = [_row_1(one, zero, period) for one in some(part, "Array_TS_List/Array_TS", 1)]
+        first[name] = sum(begun) / len(begun)
+        if max(begun) - min(begun) > _ONE_TIME:
+            uneven.append(f"{name} ({(max(begun) - min(begun)) * 1e3:.3g} ms)")
     if _PANCHROMATIC not in first:
         raise data.refused(f"{stamp}/Band_TS_List", f"holds no {_PANCHROMATIC}")
     lags = {name: t - first[_PANCHROMATIC] for name, t in sorted(first.items(), key=lambda item: item[1])}
-    return RawBands(lags, line_period(data, f"{stamp}/PA_LINE_PERIOD", _MILLISECONDS))
+    counted = words(data, f"{stamp}/ORIGIN_REFERENTIAL", _OF_PRODUCT)
+    doubt = f"its arrays see row 1 at unlike times: {', '.join(uneven)}" if uneven else ""
+    if counted != _OF_PRODUCT:
+        doubt = f"its ORIGIN_REFERENTIAL is {counted[:40]}; rows of the product ({_OF_PRODUCT}) are read"
+    return RawBands(lags, period, first[_PANCHROMATIC], doubt)
+
+
+def _row_1(array: Part, zero: tuple[datetime, float], period: float) -> float:
+    """s from an instant to when an array of detectors saw row 1 of the product."""
+    t = elapsed(array.text("ORIGIN_TIME"), zero, f"{array.path}: {array.place}/ORIGIN_TIME")
+    if not array.has("ORIGIN_FULL_RES_LINE"):
+        return t
+    return t - (array.count("ORIGIN_FULL_RES_LINE", 1, MOST_LINES) - 1) * period
 
 
 def pleiades_orbit(data: Part, start: str) -> Orbit:

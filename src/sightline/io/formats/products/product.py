@@ -114,10 +114,16 @@ class RawBands:
         Band to the s by which it sees the ground after the first.
     line_period : float
         s, of the first.
+    begin : float
+        s from line 0 of the product's model to when the first band sees that line's ground.
+    doubt : str
+        Why these cannot be used; empty where they can.
     """
 
     lags: Mapping[str, float]
     line_period: float
+    begin: float = 0.0
+    doubt: str = ""
 
 
 @dataclass(frozen=True, eq=False)
