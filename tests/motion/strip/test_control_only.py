@@ -157,6 +157,15 @@ def test_many_that_are_wrong_neither_pass_for_jitter_nor_hide_each_other(band, m
     assert np.sqrt((error[:, :2] ** 2).mean(axis=0)).max() < 0.3
 
 
+@pytest.mark.parametrize("columns", range(2, 9))
+def test_some_of_many_points_lie_in_all_columns_everywhere(columns):
+    # rows of a grid, as a reference gives them: a hundred of a hundred rows
+    chosen = control_only._evenly(100 * columns, 100)
+    assert len(np.unique(chosen)) == 100 and chosen[-1] < 100 * columns
+    for fifth in np.array_split(chosen, 5):
+        assert set(fifth % columns) == set(range(columns))
+
+
 def test_a_window_s_mean_is_that_of_two_of_its_instants(band):
     given, _ = band
     lines = np.array([1.0, 2.0, 6.0, 41.0])

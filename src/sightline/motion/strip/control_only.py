@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 FEWEST_POINTS, FEWEST_GIVEN = 8, 3
 #: Control points that the spectrum is learned from, and neighbours in a run: the solution of all is dense.
 MOST_POINTS, RUN = 200, 20
+#: Golden section: its multiples are spread evenly over the unit, however many.
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 #: Times that control points far from what the others say of them lose weight, at most; those of less weight
 #: than DOUBTED teach no spectrum: many that are wrong would pass for jitter.
 WEIGHINGS, DOUBTED = 4, 0.25
@@ -332,13 +334,23 @@ class _Sightings:
 
 
 def _some_of(rows: SensorRows, scale: Array, sigmas: Array) -> _Sightings:
-    """Rows of control points, of so many at most: half evenly spread in time, half in runs of neighbours."""
+    """Rows of control points, of so many at most: half spread over the strip, half in runs of neighbours."""
     order = _in_time(rows)
     count = len(order)
-    spread = np.linspace(0, count - 1, min(count, MOST_POINTS // 2)).astype(int)
+    spread = _evenly(count, MOST_POINTS // 2)
     runs = np.linspace(0, max(count - RUN, 0), MOST_POINTS // 2 // RUN).astype(int)[:, None] + np.arange(RUN)
     at = np.arange(count) if count <= MOST_POINTS else np.unique([*spread, *runs.ravel()])
     return _whitened(rows, order[at], scale, sigmas)
+
+
+def _evenly(count: int, most: int) -> NDArray[np.intp]:
+    """At most so many of `count` numbers in order, one of each part of equal length.
+
+    Each stands elsewhere in its part: control points of a reference come in rows of some columns, and at even
+    distances one column would have all of them for long.
+    """
+    part = np.arange(min(count, most))
+    return np.asarray((part + part * GOLDEN % 1.0) * count / len(part), dtype=np.intp)
 
 
 def _in_time(rows: SensorRows) -> NDArray[np.intp]:
