@@ -89,7 +89,7 @@ def test_axes_of_the_stars_see_the_same_ground(folder):
     assert "o.oem: an OEM about Earth, axes GCRF, times in UTC" in said
     assert "a.aem: an AEM, axes GCRF, times in UTC" in said
     assert any(words.startswith("Earth orientation by IERS C04 of astropy-iers-data") for words in said)
-    assert acquisition.known_motion.attitude_sigma == pytest.approx(1e-2, rel=1e-6)
+    assert acquisition.known_motion.usual()[0] == pytest.approx(1e-2, rel=1e-6)
 
 
 def test_tables_may_be_in_other_axes_too(folder):
@@ -150,10 +150,10 @@ def test_an_old_table_of_the_user_is_told_and_widens_the_sigma(folder):
     (doubt,) = [words for words in acquisition.doubts if "old.c04" in words]
     assert "covers 1962-01-01 to 2015-12-31 and not the images" in doubt and "m on the ground" in doubt
     # 3653 days: UT1 is off by seconds, 1.7 s rms at 3000 and beyond; 1.24e-4 rad of the Earth, 700 km below
-    assert acquisition.known_motion.attitude_sigma == pytest.approx(1.7 * 7.292e-5 * 6378 / 700, rel=0.02)
+    assert acquisition.known_motion.usual()[0] == pytest.approx(1.7 * 7.292e-5 * 6378 / 700, rel=0.02)
     write(folder)  # Earth-fixed: no date is refused, nothing is added
     acquisition = load_acquisition(folder.write())
-    assert not acquisition.doubts and acquisition.known_motion.attitude_sigma == pytest.approx(1e-5, rel=1e-9)
+    assert not acquisition.doubts and acquisition.known_motion.usual()[0] == pytest.approx(1e-5, rel=1e-9)
 
 
 def test_earth_fixed_files_need_no_table_at_any_date(folder, monkeypatch):
@@ -224,7 +224,7 @@ def test_attitudes_that_end_a_little_early_are_continued(folder):
     off = (body(end).inv() * acquisition.cameras[0].trajectory.at(end).world_from_body).magnitude()[0]
     (doubt,) = acquisition.doubts
     assert "a.aem: attitudes end 0.0595 s (1.5 of their steps) before the images do" in doubt
-    told = np.sqrt(acquisition.known_motion.attitude_sigma**2 - 1e-14)
+    told = acquisition.known_motion.attitude_added
     # the error of even continuation is a (s^2 + s step) / 2 = 8.9e-6 rad with a = 3e-3: about one axis in
     # three
     assert off == pytest.approx(0.5 * 3e-3 * 0.0595 * (0.0595 + step), rel=0.02)
@@ -243,7 +243,7 @@ def test_the_covariance_of_an_orbit_widens_the_sigma_of_the_attitude(folder):
     )
     acquisition = load_acquisition(ephemeris(folder, "attitude_sigma = 1e-7\n").write())
     # 20 m seen from 700 km
-    assert acquisition.known_motion.attitude_sigma == pytest.approx(20.0 / 700e3, rel=2e-3)
+    assert acquisition.known_motion.usual()[0] == pytest.approx(20.0 / 700e3, rel=2e-3)
 
 
 @pytest.mark.parametrize(

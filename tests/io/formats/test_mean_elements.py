@@ -135,7 +135,7 @@ def test_a_strip_may_name_elements_and_is_told_how_good_they_are(folder):
     given = acquisition.cameras[0].trajectory.at([0.05]).position
     height = np.linalg.norm(given) - 6378137.0
     # the height counted is that of the nearest position, 5 s away: 1 km/s of climb over 1300 km
-    assert acquisition.known_motion.attitude_sigma == pytest.approx(np.sqrt(5.0) * 1e3 / height, rel=0.01)
+    assert acquisition.known_motion.usual()[0] == pytest.approx(np.sqrt(5.0) * 1e3 / height, rel=0.01)
     orbit = read_orbit(folder.path / "orbit.tle", "2000-06-28T18:50:19.733568Z")
     when = Time("2000-06-28T18:50:19.733568", scale="utc") + orbit.t * units.s
     there = coordinates.TEME(orbit.position.T * units.m, obstime=when, representation_type="cartesian")

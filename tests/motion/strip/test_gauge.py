@@ -38,3 +38,10 @@ def test_what_is_not_given_of_yaw_is_as_large_as_its_motion() -> None:
 
 def test_what_is_given_stays() -> None:
     assert of_yaw(0.2, attitude_sigma=2e-3, rate_sigma=3e-5) == (2e-3, pytest.approx(3e-5))
+
+
+def test_what_orbits_and_the_earth_add_is_no_statement_of_the_attitude() -> None:
+    given = KnownContent(attitude_added=3e-3).usual()
+    assert given == (pytest.approx(np.hypot(1e-2, 3e-3)), 1e-3)
+    assert of_yaw(0.2, attitude_added=3e-3) == of_yaw(0.2)
+    assert of_yaw(0.2, attitude_sigma=4e-3, attitude_added=3e-3)[0] == pytest.approx(5e-3)

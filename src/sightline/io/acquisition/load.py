@@ -310,11 +310,12 @@ def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownConte
     section, platform = config.known_motion, config.platform
     known = KnownContent(tuple(section.tones))
     if isinstance(platform, KnownAttitude):
-        sigma = platform.attitude_sigma
-        if files.attitude_sigmas:
-            usual = known.usual()[0] if sigma is None else sigma
-            sigma = float(np.linalg.norm([usual, *files.attitude_sigmas]))
-        known = replace(known, attitude_sigma=sigma, rate_sigma=platform.rate_sigma)
+        known = replace(
+            known,
+            attitude_sigma=platform.attitude_sigma,
+            rate_sigma=platform.rate_sigma,
+            attitude_added=float(np.linalg.norm(files.attitude_sigmas)),
+        )
     if section.psd is None:
         return known
     f, density = tables.read_psd(files(section.psd))

@@ -9,6 +9,7 @@ Not here: the joint solution itself (``joint.py``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -229,17 +230,21 @@ class KnownContent:
         rad and rad/s; how far constant angles, and even rates, may be from the reference attitude. They bound
         what no image sees. None, where nothing is given: ATTITUDE_SIGMA and RATE_SIGMA, and of yaw as much
         more as the motion goes that is found.
+    attitude_added : float
+        rad; by what else, orbits or the Earth's turn, constant angles may be off beside that.
     """
 
     tones: tuple[float, ...] = ()
     spectra: tuple[Spectrum, Spectrum, Spectrum] | None = None
     attitude_sigma: float | None = None
     rate_sigma: float | None = None
+    attitude_added: float = 0.0
 
     def usual(self) -> tuple[float, float]:
         """What is given of both; where nothing is, what is taken for granted."""
-        angle, rate = self.attitude_sigma, self.rate_sigma
-        return ATTITUDE_SIGMA if angle is None else angle, RATE_SIGMA if rate is None else rate
+        angle = ATTITUDE_SIGMA if self.attitude_sigma is None else self.attitude_sigma
+        rate = RATE_SIGMA if self.rate_sigma is None else self.rate_sigma
+        return math.hypot(angle, self.attitude_added), rate
 
 
 def angle_differences(
