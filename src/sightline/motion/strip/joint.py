@@ -340,20 +340,20 @@ class JointEstimate:
         spread, _ = self._factor(constants=False).times(flat)
         return np.asarray(flat.T @ spread)
 
-    def row_variance(self, rows: Any, statics: Array) -> Array:
+    def row_variance(self, rows: Any, beside: Array) -> Array:
         """Variance (R,) px^2 of what rows read: what the estimate predicts of matches that it did not use.
 
         Parameters
         ----------
         rows : (R, block * count) sparse
             By the unknowns of the grid, as `normal_equations.window_rows` makes them.
-        statics : (R, Q)
-            By the static parameters.
+        beside : (R, Q) or (R, Q + E)
+            By the static parameters, and the errors that wander.
         """
         factor = self._factor(constants=self.ties is not None)
-        beside = np.zeros((len(statics), factor.q))
-        beside[:, : statics.shape[1]] = statics
-        return np.maximum(factor.row_variance(rows, beside), 0.0)
+        border = np.zeros((len(beside), factor.q))
+        border[:, : beside.shape[1]] = beside
+        return np.maximum(factor.row_variance(rows, border), 0.0)
 
     def hidden_covariance(self, drifts: Sequence[int] = ()) -> Array:
         """Covariance (H, H) rad^2 of how much the motion holds of each hidden direction, constants free.

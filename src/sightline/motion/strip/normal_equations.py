@@ -706,9 +706,14 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
 
 
 def window_rows(
-    star: Star, grid: TimeGrid, block: int, order: GroundOrder, which: NDArray[np.intp]
+    star: Star,
+    grid: TimeGrid,
+    block: int,
+    order: GroundOrder,
+    which: NDArray[np.intp],
+    slow: SlowErrors | None = None,
 ) -> tuple[Any, Array]:
-    """The rows of the first pair of a star: by the unknowns of the grid, and by the static parameters.
+    """The rows of the first pair of a star: by the unknowns of the grid, and by those beside them.
 
     Parameters
     ----------
@@ -716,12 +721,15 @@ def window_rows(
         Unknowns per node: 3 angles, or 5 with relief.
     which : (N,)
         Windows whose rows are wanted.
+    slow : SlowErrors, optional
+        Errors that wander along the strip, of both images among others.
 
     Returns
     -------
     rows : (2 N, block * count) scipy.sparse
         Two per window: px along and across per rad, and per m.
-    statics : (2 N, Q)
+    beside : (2 N, Q + E)
+        By the static parameters, then by the errors that wander.
     """
     from scipy.sparse import csr_array
 
@@ -754,7 +762,13 @@ def window_rows(
     each = np.arange(2 * len(which) + 1) * value.shape[1]
     shape = (2 * len(which), block * grid.count)
     rows = csr_array((value.ravel(), column.ravel(), each), shape=shape)
-    return rows, np.asarray(star.by_static[which, 0].reshape(2 * len(which), -1), dtype=np.float64)
+    beside = [star.by_static[which, 0].reshape(2 * len(which), -1)]
+    if slow is not None:
+        near, moved = slow.columns(star, order.of(star.t_hub[which]))
+        wander = np.zeros((2 * len(which), slow.count * slow.each))
+        wander[:, near] = moved[:, 0].reshape(2 * len(which), -1)
+        beside.append(wander)
+    return rows, np.concatenate(beside, axis=1, dtype=np.float64)
 
 
 def modelled(

@@ -1,9 +1,9 @@
 """Pairs of bands that the estimate did not use: predicted from it, compared with their own matches.
 
 A referee without truth. Windows of one band are found in the other, in the cameras that the estimate
-left; where they lie is predicted by the motion, the statics and the relief found, and the covariance of what
-is left is that of the prediction and that of the match, less what they share. Nothing of it reaches the
-estimate.
+left; where they lie is predicted by the motion, the statics, the relief and the errors that wander found, and
+the covariance of what is left is that of the prediction and that of the match, less what they share. Nothing
+of it reaches the estimate.
 
 Not here: the estimate (``estimate.py``, ``joint.py``), the words (``report/``).
 """
@@ -31,6 +31,7 @@ from sightline.motion.measure.windows import WindowGrid, exposure_times, near_in
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
 from sightline.motion.strip.relief import hub_delay
+from sightline.motion.strip.slow_errors import SlowErrors
 from sightline.motion.strip.strip import RecoverOptions, Strip
 
 Array = NDArray[np.float64]
@@ -234,16 +235,17 @@ def compared(
     if record is None:
         return None
     star, estimate = record.star, state.estimate
-    # cameras carry motion and statics: what the rows know beyond these is the relief found
-    error = star.residual_px - _by_relief(strip, state, star)
+    # cameras carry motion and statics: the rows know more than these
+    error = star.residual_px - _beside_cameras(strip, state, star)
     star = star.with_weight(robust_weights(star, error))
     seen = star.present[:, 0]
     if seen.sum() < LEAST_WINDOWS:
         return None
     block = 3 if estimate.relief is None else 5
-    rows, statics = window_rows(star, strip.grid, block, _ground(strip, state, hub), np.flatnonzero(seen))
+    which, order = np.flatnonzero(seen), _ground(strip, state, hub)
+    rows, beside = window_rows(star, strip.grid, block, order, which, _wandering(state, star))
     variance = np.full((len(seen), 2), np.nan)
-    variance[seen] = estimate.row_variance(rows, statics).reshape(-1, 2)
+    variance[seen] = estimate.row_variance(rows, beside).reshape(-1, 2)
     own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
     own = own * plain_variance(star, error)
     shared = _shared(strip, state, star, record.filters[0])
@@ -296,10 +298,9 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int], whitening: Wh
     found = match_images(first, second, points, points, window=used.window, whitening=whitening)
     if found.kept.sum() < LEAST_WINDOWS:
         return np.ones(2)
-    direct, apart = found.b - points, post[which, jb] - post[which, ja]
-    if state.estimate.relief is not None:
-        moved = _by_relief(strip, state, used)[which]
-        direct = direct - (moved[:, jb] - moved[:, ja])
+    moved = _beside_cameras(strip, state, used)[which]
+    direct = found.b - points - (moved[:, jb] - moved[:, ja])
+    apart = post[which, jb] - post[which, ja]
     size = 5.0 * robust_sigmas(direct[found.kept], axis=0)
     good = found.kept & (np.abs(direct) < size).all(axis=1)
     if good.sum() < LEAST_WINDOWS:
@@ -317,14 +318,23 @@ def _whole_rows(seen: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.i
     return np.flatnonzero(seen & chosen.ravel())
 
 
-def _by_relief(strip: Strip, state: StripState, star: Star) -> Array:
-    """What the relief found moves the windows of a star by, (G, K, 2) px."""
-    nodes = state.estimate.unknowns()
-    if state.estimate.relief is None:
-        return np.zeros(star.residual_px.shape)
-    nodes[:, :3] = 0.0
-    order = _ground(strip, state, star.hub)
-    return modelled(star, strip.grid, nodes, np.zeros(len(state.estimate.statics)), order)
+def _beside_cameras(strip: Strip, state: StripState, star: Star) -> Array:
+    """What the relief and the errors that wander found move the windows of a star by, (G, K, 2) px."""
+    moved, order = np.zeros(star.residual_px.shape), _ground(strip, state, star.hub)
+    slow = _wandering(state, star)
+    if slow is not None:
+        moved += slow.moved(star, order.of(star.t_hub), state.estimate.slow)
+    if state.estimate.relief is not None:
+        nodes = state.estimate.unknowns()
+        nodes[:, :3] = 0.0
+        moved += modelled(star, strip.grid, nodes, np.zeros(len(state.estimate.statics)), order)
+    return moved
+
+
+def _wandering(state: StripState, star: Star) -> SlowErrors | None:
+    """Errors that wander of a star's images; None where the estimate has none of one of them."""
+    slow = state.slow
+    return slow if slow is not None and slow.covers([star]) else None
 
 
 def _ground(strip: Strip, state: StripState, hub: int) -> GroundOrder:
