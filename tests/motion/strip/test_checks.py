@@ -38,6 +38,17 @@ def refused(strip, options=None) -> str:
     return str(problem.value)
 
 
+def test_lines_that_average_over_most_of_the_strip_are_refused(strip):
+    def of(stages: int):
+        one = strip.bands[1]
+        camera = replace(one.camera, stages=np.full((1, SHAPE[1]), stages, dtype=np.int16))
+        return replace(strip, bands=(strip.bands[0], replace(one, camera=camera)))
+
+    checked(of(200), RecoverOptions())
+    with pytest.raises(EstimationError, match=r"'band 1' averages over 201 stages, .* half of the 401 lines"):
+        checked(of(201), RecoverOptions())
+
+
 class TestKnownMotion:
     # 401 lines, 400 periods of 0.5 ms: 5 Hz to 1000 Hz
     @pytest.mark.parametrize("tone", [1e-3, 4.9, 0.5 / PERIOD, 5e6])

@@ -37,8 +37,10 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
         Names the key, its value and what is allowed: tones or a spectrum that these lines cannot hold,
         windows that do not fit in the images, listed features that lie outside, control points out of place.
     EstimationError
-        If too few windows see the same ground in two images, or none has a neighbour in its row.
+        If too few windows see the same ground in two images, none has a neighbour in its row, or lines
+        average over most of the strip.
     """
+    _check_stages(strip)
     if len(strip.bands) > 1:
         _check_windows(strip, options)
         _check_common_ground(strip, options)
@@ -72,6 +74,18 @@ def known_content(strip: Strip) -> KnownContent:
                 f"spectrum that begins below {highest:.4g} Hz (half the line rate); give Hz"
             )
     return replace(known, tones=tuple(tones))
+
+
+def _check_stages(strip: Strip) -> None:
+    """Lines average over no more than half of their image."""
+    for band in strip.bands:
+        most = 1 if band.camera.stages is None else int(np.asarray(band.camera.stages).max())
+        if 2 * most > band.camera.lines:
+            raise EstimationError(
+                f"each line of {band.name!r} averages over {most} stages, more than half of the "
+                f"{band.camera.lines} lines of its image: all its lines average over nearly the same motion, "
+                "of which they show nothing; check `stages`, or give a longer image"
+            )
 
 
 def _check_windows(strip: Strip, options: RecoverOptions) -> None:

@@ -242,9 +242,12 @@ def strip_warnings(
     """
     out = []
     if changes and left * changes[-1] > 1.0:
+        stages = [band.camera.stages for band in strip.bands if band.camera.stages is not None]
+        most = max((int(np.asarray(one).max()) for one in stages), default=1)
+        described = f"camera description, {most} TDI stages among it" if most > 1 else "camera description"
         out.append(
             f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; check the "
-            "camera description, or allow more with [matching] passes"
+            f"{described}, or allow more with [matching] passes"
         )
         if all(band.offset_sigma_px == 0.0 for band in strip.bands):
             out.append("band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not")
