@@ -206,6 +206,43 @@ def test_noise_without_texture_is_hardly_ever_kept():
         assert found.kept.mean() < 0.01
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.6, 1.2])
+@pytest.mark.parametrize(("window", "search"), [((10, 100), (0, 0)), ((16, 16), (3, 3)), ((32, 32), (8, 8))])
+def test_stripes_with_noise_of_their_own_are_hardly_ever_kept(angle, window, search):
+    """Alike as a whole, with nothing along the stripes but noise, which agrees somewhere in every search."""
+    rng = np.random.default_rng(9)
+    y, x = np.mgrid[0:400, 0:400]
+    frequencies = rng.uniform(0.005, 0.2, 60)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 60)
+
+    def stripes(shift):
+        across = np.cos(angle) * (x - shift[1]) + np.sin(angle) * (y - shift[0])
+        waves = [
+            np.cos(2.0 * np.pi * f * across + p) / (5.0 * f) for f, p in zip(frequencies, phases, strict=True)
+        ]
+        return ArrayImage((1000 + 20 * np.sum(waves, axis=0) + rng.normal(0, 10, x.shape)).astype(np.float32))
+
+    a, b = stripes((0.0, 0.0)), stripes(SHIFT)
+    points = grid_points((300, 300), window=window, step=(10, 25)) + 50.0
+    found, refused = (
+        match_images(a, b, points, points + np.rint(SHIFT), window=window, search_px=search, both_ways=both)
+        for both in (False, True)
+    )
+    # noise passes in one window of a hundred; windows overlap, so that what passes comes several times
+    assert refused.kept.mean() <= 0.05 < 0.1 < found.kept.mean()
+    assert (refused.status[found.kept & ~refused.kept] == matches.TEXTURELESS).all()
+
+
+def test_texture_in_both_directions_is_kept_both_ways(pairs):
+    for cross, snr in ((False, 100.0), (True, 100.0)):
+        a, b, whitening = pairs(cross, snr)
+        points = inner_points((16, 40))
+        found = match_images(
+            a, b, points, points, window=(16, 40), search_px=(3, 3), whitening=whitening, both_ways=True
+        )
+        assert found.kept.all()
+
+
 def test_a_cloud_under_a_mask_does_not_move_the_windows_beside_it(pairs):
     a, b, whitening = pairs(True)
     cloudy = b.array.copy()

@@ -9,7 +9,7 @@ Not here: the comparison of windows (``matching/``), files (``io/results/raster_
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, cast
@@ -22,11 +22,11 @@ from sightline.execution import Progress, silent, steps_of
 from sightline.imaging.placed import PlacedImage
 from sightline.imaging.reduce import whole_pixels
 from sightline.imaging.source import ImageSource
-from sightline.matching.agreement import disagreeing
+from sightline.matching.agreement import departures, disagreeing, scatter
 from sightline.matching.coarse import CommonShift, LearntShifts, learn_shifts
 from sightline.matching.kernels import RADIUS
-from sightline.matching.match_images import match_images
-from sightline.matching.matches import OUTLIER, Matches
+from sightline.matching.match_images import MAX_SIGMA_PX, match_images
+from sightline.matching.matches import KEPT, OUTLIER, TEXTURELESS, Matches, largest_sigma
 from sightline.matching.on_geometry import PairOnGeometry, lattice_points, middle_of, within
 from sightline.matching.select import grid_points
 from sightline.matching.whitening import Whitening, gradient_filter, pair_whitening
@@ -48,6 +48,9 @@ _REACH, _BEYOND = 4.0, 1
 _LONGEST = 16
 #: Kept matches below which there is no answer, share of those tried below which it is warned of.
 _FEWEST, _FEW = 4, 0.2
+#: Scatter of faint matches beyond which they are chance: that of true ones is 1, up to 1.4 where contrast is
+#: faintest; of chance 2.2 and more, lying anywhere within a pixel or more to each side at a stated .4 px.
+_FAINT_SCATTER = 1.7
 #: px of tiles that filters of square windows are estimated from.
 _SQUARE_TILE = (48, 48)
 #: Change of a pixel's side up to which two grids count as alike.
@@ -434,9 +437,9 @@ def match_laid(
     whitening = _whitening(laid, points[inside], predicted[inside], size, search)
     found = match_images(
         laid.a, laid.b, points, predicted, window=size, search_px=search, whitening=whitening,
-        step=steps_of(progress, "matching windows"), **options,
+        both_ways=True, step=steps_of(progress, "matching windows"), **options,
     )  # fmt: skip
-    found = _without_outliers(found, laid.offset, shape)
+    found = _in_agreement(found, laid.offset, shape)
     tried = int(inside.sum())
     _check_enough(found[inside])
     common = learnt.common
@@ -530,12 +533,21 @@ def _whitening(
     return pair_whitening(laid.a, laid.b, points, predicted, tile=tile, reach=reach) or gradient_filter()
 
 
-def _without_outliers(found: Matches, offset: Array, shape: tuple[int, int]) -> Matches:
-    """Matches less those that do not go with their neighbours."""
-    kept = found.kept[:, None]
-    shift = np.where(kept, found.b - found.a - offset, np.nan).reshape(*shape, 2)
-    sigma = np.where(kept, found.sigma_px, np.nan).reshape(*shape, 2)
-    return found.with_status(disagreeing(shift, sigma).ravel(), OUTLIER)
+def _in_agreement(found: Matches, offset: Array, shape: tuple[int, int]) -> Matches:
+    """Matches less those that do not go with their neighbours, and with the faint ones if those do.
+
+    A faint match could be chance (`both_ways` of `match_images`), which lies anywhere within the search: if
+    they scatter as their sigmas say, they are none.
+    """
+    faint = (found.status == TEXTURELESS) & (largest_sigma(found.covariance_px) <= MAX_SIGMA_PX)
+    shift, sigma = (
+        np.where((found.kept | faint)[:, None], values, np.nan).reshape(*shape, 2)
+        for values in (found.b - found.a - offset, found.sigma_px)
+    )
+    departure = departures(shift, sigma).ravel()
+    if scatter(departure[faint]) <= _FAINT_SCATTER:
+        found = replace(found, status=np.where(faint, KEPT, found.status))
+    return found.with_status(disagreeing(np.where(found.kept, departure, np.nan)), OUTLIER)
 
 
 def _in_pixels_of_a(found: Matches, laid: Overlay) -> Matches:
@@ -567,6 +579,11 @@ def _check_enough(found: Matches) -> None:
     counts = {name: count for name, count in found.counts().items() if count and name != "kept"}
     said = ", ".join(f"{count} {name}" for name, count in counts.items())
     advice = "check masks and no-data values, take larger windows, or images that look alike"
+    if found.counts()["textureless"] > 0.5 * tried:
+        advice = (
+            "what the images share places a window in one direction at most (stripes), or hardly at all: "
+            "take larger windows (--window), or images with more texture"
+        )
     if tried < _FEWEST:
         advice = "only so many lie in what the images share; take a smaller step (--step), or smaller windows"
     raise EstimationError(

@@ -19,8 +19,8 @@ NEIGHBOURS = 3
 CUT = 4.0
 
 
-def disagreeing(shift_px: Array, sigma_px: Array) -> NDArray[np.bool_]:
-    """Windows whose shift goes neither with those beside nor with those above and below.
+def departures(shift_px: Array, sigma_px: Array) -> Array:
+    """How far the shift of each window departs from those beside, or from those above and below.
 
     Parameters
     ----------
@@ -29,23 +29,32 @@ def disagreeing(shift_px: Array, sigma_px: Array) -> NDArray[np.bool_]:
 
     Returns
     -------
-    (rows, columns) bool
-        False where there are fewer than two neighbours in either direction, or no shift.
+    (rows, columns), in sigmas; NaN where there are fewer than two neighbours in either direction, or none.
 
     Notes
     -----
     Jitter moves rows of windows against each other, relief columns as much as rows: a window of either is
-    like its neighbours in one direction. Departures are counted in the window's own sigma, and the scale of
-    all of them, at least 1, in what most windows depart by (J. Westerweel, F. Scarano, *Experiments in
-    Fluids* 39, 2005).
+    like its neighbours in one direction.
     """
-    departure = np.fmin(*(_departure(shift_px, sigma_px, axis) for axis in (0, 1)))
+    return np.asarray(np.fmin(*(_departure(shift_px, sigma_px, axis) for axis in (0, 1))))
+
+
+def scatter(departure: Array) -> float:
+    """What most windows depart by, over what their sigmas say; NaN of none."""
     finite = np.isfinite(departure)
-    if not finite.any():
-        return np.zeros(departure.shape, dtype=np.bool_)
     # departures are lengths of two components: 1.18 is their median for a sigma of 1 each
-    scale = max(robust_sigma(departure[finite]) / (1.4826 * 1.1774), 1.0)
-    return np.asarray(finite & (np.nan_to_num(departure) > CUT * scale))
+    return robust_sigma(departure[finite]) / (1.4826 * 1.1774) if finite.any() else np.nan
+
+
+def disagreeing(departure: Array) -> NDArray[np.bool_]:
+    """Windows that depart further from their neighbours than chance, and what is common to most, explains.
+
+    Notes
+    -----
+    The scale of all departures, at least 1, is what most windows depart by (J. Westerweel, F. Scarano,
+    *Experiments in Fluids* 39, 2005).
+    """
+    return np.asarray(np.nan_to_num(departure) > CUT * np.fmax(scatter(departure), 1.0))
 
 
 def _departure(shift_px: Array, sigma_px: Array, axis: int) -> Array:

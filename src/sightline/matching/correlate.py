@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from sightline.matching import kernels
 
-__all__ = ["correlation_surface", "pair_covariances", "search_shift"]
+__all__ = [
+    "agreement_of_gradients",
+    "chance_agreement",
+    "correlation_surface",
+    "pair_covariances",
+    "search_shift",
+]
 
 _BATCH_PIXELS = 1 << 20
 _PRIOR_WINDOWS = 3.0
@@ -118,6 +124,61 @@ def search_shift(
     return shift, found
 
 
+def agreement_of_gradients(fits: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normalised correlation of the gradients of both windows in the direction where it is least.
+
+    Parameters
+    ----------
+    fits : (N, kernels.COLUMNS)
+        What `kernels.refine_windows` gave.
+
+    Returns
+    -------
+    (N,) -1 to 1; NaN where there is no fit.
+
+    Notes
+    -----
+    Stripes with noise of its own in each image look alike as a whole, and say nothing along themselves: there
+    the gradients are noise, and agree by chance alone (`chance_agreement`). With h the products of the
+    gradients of a with those of b, and g those of their mean with itself, ``2 g - h`` is the mean of those of
+    either image with itself; returned is the smaller eigenvalue of ``(2 g - h)^-1 h``.
+    """
+    h, g = _symmetric(fits[:, 2:5]), _symmetric(fits[:, 5:8])
+    own = 2.0 * g - h
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
+        crossed = own[:, 1, 1] * h[:, 0, 0] + own[:, 0, 0] * h[:, 1, 1] - 2.0 * own[:, 0, 1] * h[:, 0, 1]
+        product = (h[:, 0, 0] * h[:, 1, 1] - h[:, 0, 1] ** 2) / size
+        half = 0.5 * crossed / size
+        return np.asarray(half - np.sqrt(np.maximum(half**2 - product, 0.0)))
+
+
+def chance_agreement(window: tuple[int, int], search_px: tuple[int, int], share: float = 0.5) -> float:
+    """Agreement of gradients that noise alone reaches in one window of a hundred, at its best place.
+
+    Parameters
+    ----------
+    window : (int, int)
+        Lines and columns.
+    search_px : (int, int)
+        Half-range of the search, px.
+    share : float
+        Independent values for each pixel (`Whitening.independent_share`).
+
+    Notes
+    -----
+    The correlation of two noises over n independent pixels scatters by ``n^-1/2``. The largest of p of them
+    lies at ``(2 ln p)^1/2`` of that on average, and in one of a hundred by 1.2 higher.
+    """
+    places = (2 * search_px[0] + 3) * (2 * search_px[1] + 3)
+    return float((1.2 + np.sqrt(2.0 * np.log(places))) / np.sqrt(share * window[0] * window[1]))
+
+
+def _symmetric(parts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 2, 2) of yy, yx, xx (N, 3)."""
+    return parts[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+
+
 def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Covariance of every fitted shift.
 
@@ -155,11 +216,7 @@ def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDAr
         # the products of neighbours can make the sum of a few windows negative: the prior stays half of it
         seen, expected = ratio[sound].sum() + _PRIOR_WINDOWS, share[sound].sum() + _PRIOR_WINDOWS
         factor[axis] = np.sqrt(max(seen, 0.5 * _PRIOR_WINDOWS) / max(expected, 0.5 * _PRIOR_WINDOWS))
-    h = np.empty((len(f), 2, 2))
-    h[:, 0, 0], h[:, 0, 1], h[:, 1, 0], h[:, 1, 1] = f[:, 2], f[:, 3], f[:, 3], f[:, 4]
-    v = np.empty_like(h)
-    v[:, 0, 0], v[:, 0, 1], v[:, 1, 0], v[:, 1, 1] = f[:, 5], f[:, 6], f[:, 6], f[:, 7]
-    v *= f[:, 8][:, None, None] * np.outer(factor, factor)
-    inverse = np.linalg.inv(h)
+    v = _symmetric(f[:, 5:8]) * f[:, 8][:, None, None] * np.outer(factor, factor)
+    inverse = np.linalg.inv(_symmetric(f[:, 2:5]))
     covariance[done] = inverse @ v @ inverse
     return covariance

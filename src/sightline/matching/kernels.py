@@ -376,6 +376,7 @@ def refine_windows(  # type: ignore[no-untyped-def]
         var_a = _centre(a, m, count, n)
         dy, dx = start[w, 0], start[w, 1]
         done = 0.0
+        placed = False
         if not var_a > 0.0:
             out[w, 14] = -2.0
             continue
@@ -399,7 +400,8 @@ def refine_windows(  # type: ignore[no-untyped-def]
             hyx = s[3] - s[5] * s[6] / count - s[7] * s[8] / var_a
             hxx = s[4] - s[6] * s[6] / count - s[8] * s[8] / var_a
             det = hyy * hxx - hyx * hyx
-            if not (det > 1e-6 * s[10] * s[12] and hyy > 0.0):
+            placed = det > 1e-6 * s[10] * s[12] and hyy > 0.0
+            if not placed:
                 hyy, hyx, hxx = s[10], s[11], s[12]
                 det = hyy * hxx - hyx * hyx
                 if not det > 0.0:
@@ -416,6 +418,8 @@ def refine_windows(  # type: ignore[no-untyped-def]
                 break
             if np.hypot(dy - start[w, 0], dx - start[w, 1]) > reach:
                 break
+        if done > 0.0 and not placed:
+            done = -2.0  # what the two images share does not place the window in both directions
         out[w, 14] = done
         if done <= 0.0:
             continue

@@ -13,7 +13,12 @@ from sightline.execution import Step, in_threads, no_step
 from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ImageSource
 from sightline.matching import kernels, matches
-from sightline.matching.correlate import pair_covariances, search_shift
+from sightline.matching.correlate import (
+    agreement_of_gradients,
+    chance_agreement,
+    pair_covariances,
+    search_shift,
+)
 from sightline.matching.matches import Matches
 from sightline.matching.patches import Block, column_parts, cut_blocks, group_windows, warp_block
 from sightline.matching.whitening import Whitening, estimate_whitening
@@ -22,6 +27,8 @@ __all__ = ["match_images"]
 
 #: Share of a window's pixels that may be masked.
 MAX_MASKED = 0.2
+#: px; largest sigma of a match in any direction.
+MAX_SIGMA_PX = 0.5
 _BLOCK_PIXELS = 1_500_000
 _ITERATIONS = 12
 _TOLERANCE_PX = 0.01
@@ -44,7 +51,8 @@ def match_images(
     max_masked: float = MAX_MASKED,
     saturation: float | None = None,
     min_score: float = 0.2,
-    max_sigma_px: float = 0.5,
+    max_sigma_px: float = MAX_SIGMA_PX,
+    both_ways: bool = False,
     threads: int | None = None,
     step: Step = no_step,
 ) -> Matches:
@@ -78,6 +86,10 @@ def match_images(
         Lowest normalised correlation of the fitted windows; windows of few pixels need 4 / sqrt(pixels).
     max_sigma_px : float
         A match whose larger principal sigma exceeds this says nothing: it is refused as textureless.
+    both_ways : bool
+        Whether each match must stand out from chance along lines and columns, and any direction between
+        (`correlate.chance_agreement`), where nothing else will tell: stripes are refused as textureless. Low
+        contrast is too, which many windows together may place.
     threads : int, optional
         Threads to use, all cores by default. The result does not depend on it.
     step : callable
@@ -164,7 +176,11 @@ def match_images(
     ]  # fmt: skip
     in_threads(work, jobs, threads, step)
     lowest = max(min_score, 4.0 / np.sqrt(window[0] * window[1]))
-    return _assemble(points_a, predicted_b, fits, turns, status, lowest, max_sigma_px)
+    chance = -np.inf
+    if both_ways:
+        shares = () if whitening is None else (whitening.independent_share,)
+        chance = chance_agreement(window, search_px, *shares)
+    return _assemble(points_a, predicted_b, fits, turns, status, lowest, chance, max_sigma_px)
 
 
 def _checked(
@@ -304,18 +320,17 @@ def _assemble(
     turns: NDArray[np.float64],
     status: NDArray[np.uint8],
     min_score: float,
+    chance: float,
     max_sigma_px: float,
 ) -> Matches:
     """Matches from fits: thresholds of quality, common factors of the covariance."""
     kept = status == matches.KEPT
     score = np.where(kept, np.clip(fits[:, 9], 0.0, 1.0), np.nan)
     status[kept & ~(score >= min_score)] = matches.LOW_SCORE
+    status[(status == matches.KEPT) & ~(agreement_of_gradients(fits) >= chance)] = matches.TEXTURELESS
     covariance = pair_covariances(fits, status == matches.KEPT)
     covariance = turns @ covariance @ turns.transpose(0, 2, 1)
-    with np.errstate(invalid="ignore"):
-        trace = covariance[:, 0, 0] + covariance[:, 1, 1]
-        difference = np.hypot(covariance[:, 0, 0] - covariance[:, 1, 1], 2 * covariance[:, 0, 1])
-        weak = ~(0.5 * (trace + difference) <= max_sigma_px**2)
+    weak = ~(matches.largest_sigma(covariance) <= max_sigma_px)
     status[(status == matches.KEPT) & weak] = matches.TEXTURELESS
     fitted = kept[:, None] & np.isfinite(fits[:, :2])
     b = np.where(fitted, predicted_b + np.einsum("nij,nj->ni", turns, fits[:, :2]), np.nan)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 
-__all__ = ["STATUS_NAMES", "Matches", "concatenate_matches"]
+__all__ = ["STATUS_NAMES", "Matches", "concatenate_matches", "largest_sigma"]
 
 KEPT = 0
 OUTSIDE = 1
@@ -112,6 +112,13 @@ class Matches:
         """
         changed = np.where(rows & self.kept, np.uint8(status), self.status)
         return Matches(self.a, self.b, self.covariance_px, self.score, changed)
+
+
+def largest_sigma(covariance_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) px: sigma in the direction in which it is largest, of covariances (N, 2, 2); NaN for NaN."""
+    trace = covariance_px[:, 0, 0] + covariance_px[:, 1, 1]
+    difference = np.hypot(covariance_px[:, 0, 0] - covariance_px[:, 1, 1], 2.0 * covariance_px[:, 0, 1])
+    return np.asarray(np.sqrt(0.5 * (trace + difference)))
 
 
 def concatenate_matches(parts: list[Matches]) -> Matches:

@@ -118,6 +118,21 @@ class Whitening:
         odds = c / (1.0 - c)
         return float((weight * odds**2 / ratio).sum() / (weight * odds).sum())
 
+    @property
+    def independent_share(self) -> float:
+        """Independent values for each pixel in the product of both images' gradients, where they are noise.
+
+        Notes
+        -----
+        ``(sum P)^2 / (N sum P^2)`` over the N frequencies, with P the power that filter and derivative make
+        of white noise; of the axis along which fewer are. Half where filters let everything pass.
+        """
+        fy, fx = _frequencies()
+        twice = np.where(fx > 0.0, 2.0, 1.0) * (np.maximum(np.abs(fy), fx) < _HIGHEST)
+        passed = np.abs(self.response("a") * self.response("b"))
+        powers = [passed * f**2 for f in (fy, fx)]
+        return min(float((twice * p).sum() ** 2 / (twice * p**2).sum() / _GRID**2) for p in powers)
+
 
 def gradient_filter(corner: float = 0.18) -> Whitening:
     """A fixed filter that compares edges: the size of the gradient, |f|, below a Gaussian corner (cycles/px).
