@@ -16,6 +16,8 @@ ORBIT_CASES = (
 )  # fmt: skip
 #: Photographs of a matrix instrument in place of a strip.
 FRAMES_CASE = "frames"
+#: Raw images of a spinning camera, which `init` reads.
+SPINNING_CASES = ("junocam", "junocam-pole", "junocam-overexposed")
 #: What `--acquisition` stands for in a SCENE.toml.
 ACQUISITION_CASE = "acquisition"
 #: Cases of synchronous cameras.

@@ -16,6 +16,7 @@ from sightline.cli.options import (
     FRAMES_CASE,
     ORBIT_CASES,
     SEQUENCE_CASES,
+    SPINNING_CASES,
     STEREO_CASES,
     STRIP_CASES,
     Json,
@@ -131,7 +132,8 @@ def line_of_sight(
         _case(
             *STRIP_CASES,
             more=f"; over a real orbit: {', '.join(ORBIT_CASES)}; photographs of a matrix instrument: "
-            f"{FRAMES_CASE}. Made of real data, in the folder that SIGHTLINE_DATA names: real, other-family",
+            f"{FRAMES_CASE}; raw images of a spinning camera, for `init`: {', '.join(SPINNING_CASES)}. "
+            "Made of real data, in the folder that SIGHTLINE_DATA names: real, other-family",
         ),
     ] = None,
     acquisition: Annotated[
@@ -227,9 +229,10 @@ def _simulate(
         of = {"kind": kind, "case": recipe.case, "seed": recipe.seed, "version": VERSION}
         print_json({**of, "folder": out, "files": names, "wall_seconds": seconds})
         return
-    command, file = _NEXT[kind]
-    say(f"rendered in {seconds:.1f} s: {out / file}")
-    say(f"next: sightline {command} {out / file} --out RESULT")
+    # a raw image, its metadata and those of another are a product
+    command, *files = ("init", *names[:3]) if recipe.family.name == "spinning" else _NEXT[kind]
+    say(f"rendered in {seconds:.1f} s: {out / files[0]}")
+    say(f"next: sightline {command} {' '.join(str(out / file) for file in files)} --out RESULT")
 
 
 def _made(recipe: SceneRecipe, folder: Path, out: Path, report: Progress) -> list[str]:
@@ -306,6 +309,14 @@ def _photographs(recipe: SceneRecipe, folder: Path, report: Progress) -> list[st
     return list(written)
 
 
+def _spinning(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
+    """A raw image of a spinning camera; the names of its files."""
+    from sightline.io.scene.spinning import spinning_scenario, write_spinning
+
+    step = steps_of(report, "rendering the exposures, and the truth")
+    return list(write_spinning(spinning_scenario(recipe.seed, recipe.options), folder, step))
+
+
 def _pass(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
     """A pass of synchronous cameras; the names of its files."""
     from sightline.simulate.stereo import stereo_case
@@ -350,6 +361,7 @@ _MAKERS: dict[str, Callable[[SceneRecipe, Path, Progress], list[str]]] = {
     "strip": _strip,
     "orbit": _orbit,
     "photographs": _photographs,
+    "spinning": _spinning,
     "pass": _pass,
     "flight": _flight,
 }

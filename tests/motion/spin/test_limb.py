@@ -65,7 +65,7 @@ def test_points_that_are_no_limb_are_left_out():
 
 
 def test_too_few_points_are_an_error():
-    with pytest.raises(EstimationError, match="10 limb points; 50 or more are needed"):
+    with pytest.raises(EstimationError, match="10 limb points; 50 or more on the lit limb are needed"):
         axis = np.array([0.0, 0.0, 1.0])
         attitude_from_limb(outline(POSITION, 10), np.tile(POSITION, (10, 1)), RADII, (axis, axis))
 

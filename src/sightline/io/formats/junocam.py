@@ -214,19 +214,21 @@ def unusable(hits: NDArray[np.bool_], median: NDArray[np.float32], dark: float) 
     return np.asarray(out)
 
 
-def bloomed(level: NDArray[np.float32] | Pixels) -> NDArray[np.bool_]:
-    """Pixels of a framelet (lines, columns) that are overexposed, or near such."""
+def bloomed(level: NDArray[np.float32] | Pixels, reach: tuple[int, int] = BLOOM) -> NDArray[np.bool_]:
+    """Pixels of a framelet (lines, columns) that are overexposed, or within `reach` of such."""
     from scipy import ndimage
 
-    around = tuple(2 * reach + 1 for reach in BLOOM)
+    around = tuple(2 * far + 1 for far in reach)
     return np.asarray(ndimage.maximum_filter(level >= SATURATED, around, mode="constant"))
 
 
 def limb_points(framelets: Pixels) -> Array:
-    """Places (N, 4) where sky turns to lit disc: exposure, strip, line, column.
+    """Places (N, 6) where sky turns to lit disc: exposure, strip, line, column, and where it gets brighter.
+
+    The last two are a unit vector along lines and columns.
 
     Only green and red, and only where brightness rises steeply: the night side fades slowly. None near what
-    is overexposed: charge that spills moves the limb.
+    is overexposed: charge that spills moves the limb, and its tail looks like one.
     """
     from scipy import ndimage
 
@@ -235,7 +237,10 @@ def limb_points(framelets: Pixels) -> Array:
         level = ndimage.gaussian_filter(
             ndimage.median_filter(framelets[exposure, strip].astype(np.float64), 3), 1.0
         )
-        steep = (np.hypot(*np.gradient(level)) > 3.0) & ~bloomed(framelets[exposure, strip])
+        slope = np.stack(np.gradient(level), axis=-1)
+        steep = (np.hypot(slope[..., 0], slope[..., 1]) > 3.0) & ~bloomed(
+            framelets[exposure, strip], (AROUND, AROUND)
+        )
         above = level - DARK[strip]
         for axis in (0, 1):
             # crossings between neighbours along one axis
@@ -246,7 +251,9 @@ def limb_points(framelets: Pixels) -> Array:
             place[:, axis] += low[line, column] / (low[line, column] - high[line, column])
             inside = (place[:, 1] > BLIND + 10) & (place[:, 0] > 2) & (place[:, 0] < LINES - 3)
             head = np.tile([float(exposure), float(strip)], (int(inside.sum()), 1))
-            out.append(np.hstack([head, place[inside]]))
+            rise = slope[line[inside], column[inside]]
+            rise /= np.hypot(rise[:, 0], rise[:, 1])[:, None]
+            out.append(np.hstack([head, place[inside], rise]))
     return np.concatenate(out)
 
 
@@ -323,14 +330,20 @@ def limb_attitude(framelets: Pixels, interval: float, position: Array, sun: Arra
             f"{len(points)} limb points beside what is overexposed ({100 * bright:.2g} % of green and red); "
             f"{LEAST_POINTS} or more are needed to find the attitude; take infinity, or another image"
         )
-    directions = np.empty((len(points), 3))
+    directions, rising = np.empty((2, len(points), 3))
     for strip, (_, line) in enumerate(STRIPS):
         of = points[:, 1] == strip
         detector = AreaDetector("", (LINES, COLUMNS), FOCAL, (line + COMMON_LINE, COLUMN), DISTORTION)
-        directions[of] = detector.directions(points[of, 2:])
+        directions[of] = detector.directions(points[of, 2:4])
+        rising[of] = detector.directions(points[of, 2:4] + points[of, 4:]) - directions[of]
     exposure = points[:, 0].astype(int)
-    turned = Rotation.from_rotvec(TURN * exposure[:, None] * [1.0, 0.0, 0.0]).apply(directions)
-    return attitude_from_limb(turned, position[exposure], RADII, (np.array([-1.0, 0.0, 0.0]), sun), sun)
+    spun = Rotation.from_rotvec(TURN * exposure[:, None] * [1.0, 0.0, 0.0])
+    rising /= np.linalg.norm(rising, axis=1)[:, None]
+    hint = np.array([-1.0, 0.0, 0.0]), sun
+    spin = exposure[:, None] * np.array([1.0, 0.0, 0.0]), TURN_SIGMA
+    return attitude_from_limb(
+        spun.apply(directions), position[exposure], RADII, hint, sun, spun.apply(rising), spin
+    )
 
 
 #: px; the published lines of the axis lie so far beside what the images show.

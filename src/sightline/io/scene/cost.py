@@ -11,12 +11,14 @@ from typing import Any
 
 from sightline.applications.expected_cost import Cost, orientation_cost_of, rendering_cost
 from sightline.io.acquisition.load import read_acquisition
+from sightline.io.formats.junocam import COLUMNS, LINES, STRIPS
 from sightline.io.scene.recipe import SceneRecipe
 from sightline.simulate.acquired import AcquiredOptions
 from sightline.simulate.frames import FrameCaseOptions
 from sightline.simulate.instruments import InstrumentOptions
 from sightline.simulate.scenarios import ground_cells
 from sightline.simulate.sequence_options import SequenceOptions
+from sightline.simulate.spinning_frames import SpinningFrameOptions
 from sightline.simulate.stereo_options import StereoOptions
 from sightline.simulate.strip_options import StripOptions
 
@@ -58,6 +60,11 @@ def _photographs_cost(options: FrameCaseOptions, files: Mapping[str, Any]) -> Co
     return rendering_cost(float(options.frames) * lines * columns, ground, asked)
 
 
+def _spinning_cost(options: SpinningFrameOptions, files: Mapping[str, Any]) -> Cost:
+    pixels = float(options.exposures) * len(STRIPS) * LINES * COLUMNS
+    return rendering_cost(pixels, 0.0, f"{options.exposures} exposures of JunoCam")
+
+
 def _pass_cost(options: StereoOptions, files: Mapping[str, Any]) -> Cost:
     lines, columns = options.frame
     of = f"--cameras {options.cameras:,} --shots {options.shots:,} --points {options.points:,}"
@@ -85,6 +92,7 @@ _COSTS: dict[str, Callable[[Any, Mapping[str, Any]], Cost]] = {
     "orbit": _orbit_cost,
     "acquired": _acquired_cost,
     "photographs": _photographs_cost,
+    "spinning": _spinning_cost,
     "pass": _pass_cost,
     "flight": _flight_cost,
 }

@@ -25,6 +25,7 @@ from sightline.simulate.instruments import INSTRUMENT_OPTIONS, InstrumentOptions
 from sightline.simulate.option_checks import descriptions
 from sightline.simulate.sequence_options import CASE_OPTIONS as SEQUENCE_OPTIONS
 from sightline.simulate.sequence_options import SequenceOptions
+from sightline.simulate.spinning_frames import SPINNING_OPTIONS, SpinningFrameOptions
 from sightline.simulate.stereo_options import CASE_OPTIONS as STEREO_OPTIONS
 from sightline.simulate.stereo_options import StereoOptions
 from sightline.simulate.strip_options import CASE_OPTIONS as STRIP_OPTIONS
@@ -114,6 +115,7 @@ FAMILIES = (
     Family("orbit", "line-of-sight", InstrumentOptions, INSTRUMENT_OPTIONS, SceneFile),
     Family("acquired", "line-of-sight", AcquiredOptions, {"acquisition": {}}, SceneFile),
     Family("photographs", "line-of-sight", FrameCaseOptions, {"frames": {}}, PhotographsWritten),
+    Family("spinning", "line-of-sight", SpinningFrameOptions, SPINNING_OPTIONS, SceneFile),
     Family("pass", "stereo", StereoOptions, STEREO_OPTIONS, StereoWritten),
     Family("flight", "frames", SequenceOptions, SEQUENCE_OPTIONS, FlightWritten),
 )
