@@ -131,10 +131,13 @@ def make_prior(relief: bool) -> tuple[JointPrior, list[np.ndarray]]:
     return prior, dense
 
 
-@pytest.mark.parametrize("relief", [False, True])
-def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
+@pytest.mark.parametrize(
+    ("relief", "curves"), [(False, (0.0, 0.0, 0.0)), (True, (0.0, 0.0, 0.0)), (True, (3.0, 0.0, 0.4))]
+)
+def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool, curves: tuple[float, ...]) -> None:
     star = small_star()
     prior, dense = make_prior(relief)
+    prior = replace(prior, curve_sigma=curves)
     grid = TimeGrid(0.0, STEP, COUNT)
     data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()], relief=relief)
     estimate = solve_joint(data, prior)
@@ -145,6 +148,9 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
     k = np.zeros((size + 2, size + 2))
     for axis in range(block):
         k[axis:size:block, axis:size:block] = dense[axis] + (CONSTANT_SIGMA[axis] ** 2 if axis < 3 else 0.0)
+    parabola = np.polynomial.legendre.legval(np.linspace(-1.0, 1.0, COUNT), [0.0, 0.0, 1.0])
+    for axis in range(3):
+        k[axis:size:block, axis:size:block] += curves[axis] ** 2 * np.outer(parabola, parabola)
     k[size:, size:] = np.diag(prior.statics_sigma**2)
     gain = k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise)
     # the estimate is also given that no axis has a mean or a drift but for their sigmas

@@ -147,9 +147,11 @@ def solve_strip(
     orders = ordered_ground([s.t_hub[s.present.any(axis=1)] for s in stars], delays, grid)
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
+    settled = model is not strip.broad
     angles = model.processes(grid)
     constant, drift = gauge(strip, angles)
-    prior = JointPrior(angles, sigmas, constant_sigma=constant, drift_sigma=drift)
+    curves = unknown_curves(angles, nodes) if settled else (0.0, 0.0, 0.0)
+    prior = JointPrior(angles, sigmas, constant_sigma=constant, drift_sigma=drift, curve_sigma=curves)
     alike = model.alike(strip.scale, grid.step * grid.count)
     ample_angles = alike.processes(grid)
     length = before.relief_length if before is not None else 2.0 * strip.half_width
@@ -165,7 +167,6 @@ def solve_strip(
     longest = 2.0 * max(float(np.nanmax(np.abs(s.t - s.t_hub[:, None]), initial=0.0)) for s in stars)
     rows = sensor_rows(strip, model, nodes, statics, longest)
 
-    settled = model is not strip.broad
     t_ground = [order.of(s.t_hub) for s, order in zip(stars, orders, strict=True)]
     slow = before.slow if before is not None and settled else None
     if slow is not None and not slow.covers(stars):
@@ -285,6 +286,26 @@ def gauge(
         )
     )
     return constant, drift
+
+
+def unknown_curves(
+    angles: tuple[Autoregressive, Autoregressive, Autoregressive], nodes: Array
+) -> tuple[float, float, float]:
+    """Sigma (rad) of a parabola of each axis beside the process of its motion: what that lacks, if anything.
+
+    Notes
+    -----
+    An autoregression looks back some tens of nodes; over thousands its slowest motions are several times too
+    small or too large. Where images see them nothing hangs on that, but the parabola of roll that belongs to
+    a drift of yaw they may not see. Nothing moves less slowly than faster: the parabola is taken to be as
+    large as the curves of the next three degrees, which the images do see.
+    """
+    u = np.linspace(-1.0, 1.0, len(nodes))
+    curves = np.polynomial.legendre.legfit(u, nodes, 5)[3:]
+    parabola = (1.5 * u**2 - 0.5) * 5.0 / len(u)
+    sizes = np.mean(curves**2, axis=0) - [process.variance_of(parabola) for process in angles]
+    roll, pitch, yaw = np.sqrt(np.maximum(sizes, 0.0))
+    return float(roll), float(pitch), float(yaw)
 
 
 def reweighted_rows(

@@ -75,6 +75,9 @@ class JointPrior:
         (``slow_errors.py``).
     ample : JointPrior or None
         Of motions that hold no axis still, which completes hidden drifts; None: this one.
+    curve_sigma : (3,)
+        rad; of a parabola along the strip (Legendre's, 1 at the ends) of each axis beside `angles`, whose
+        memory is too short to know its size; 0 adds none, nor does a prior whose drifts are apart.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -87,6 +90,24 @@ class JointPrior:
     slow_precision: Array | None = None
     drift_sigma: tuple[float, float, float] = DRIFT_SIGMA
     ample: JointPrior | None = None
+    curve_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def free_sigma(self) -> Array:
+        """Sigmas (F,) rad of what `angles` leave free: parabolas where there are any, a constant per axis."""
+        curves = [sigma for sigma in self.curve_sigma if sigma > 0.0 and self.apart is None]
+        return np.array([*curves, *self.constant_sigma])
+
+    def free_shapes(self, count: int, block: int) -> Array:
+        """(block * count, F) motions of the grid of which `free_sigma` are the sigmas."""
+        shapes = []
+        parabola = 1.5 * np.linspace(-1.0, 1.0, count) ** 2 - 0.5
+        curved = [k for k in range(3) if self.curve_sigma[k] > 0.0 and self.apart is None]
+        for axis, values in [*((k, parabola) for k in curved), *((k, np.ones(count)) for k in range(3))]:
+            shape = np.zeros((count, block))
+            shape[:, axis] = values
+            shapes.append(shape.ravel())
+        return np.stack(shapes, axis=1)
 
     @property
     def border_precision(self) -> Array:
@@ -295,7 +316,9 @@ class JointEstimate:
                 seeds[:, axis, axis] = self._seeds[:, shape]
             h = seeds.reshape(-1, 3)
             top, bottom = data.times(h)
-            x = factor.solve(-top, -bottom)[0]
+            border = np.zeros((factor.q, 3))
+            border[: len(bottom)] = bottom
+            x = factor.solve(-top, -border)[0]
             out[:, :, 3 * shape : 3 * shape + 3] = (h + x).reshape(count, data.block, 3)[:, :3]
         return out
 
@@ -474,72 +497,61 @@ def _unmixed(directions: Array, own: Sequence[tuple[int, int]], shapes: Array) -
 class _Banded:
     """Band of data + prior, factored: the same with and without a free constant per axis.
 
-    `ones` (size, 3) are these constants, `pulled` the prior's precision times them; `place` is where the
-    unknowns of the grid stand; None where there are no others between them. `border` (size, Q + 3) holds the
-    statics, then the constants.
+    `free` (size, F) are these constants, after the free parabolas, `pulled` the prior's precision times them;
+    `place` is where the unknowns of the grid stand; None where there are no others between them. `border`
+    (size, Q + F) holds the statics, then what is free.
     """
 
     factor: BandedFactor
-    ones: Array
+    free: Array
     pulled: Array
     place: Index | None
     border: Array
 
     @cached_property
     def tied(self) -> Array:
-        """The inverse of the band times the border, (size, Q + 3)."""
+        """The inverse of the band times the border, (size, Q + F)."""
         return self.factor.solve(self.border)
 
 
 def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
     """Factor of the banded part of data + prior."""
     layout, block = prior.layout(data.grid.count, data.block), data.block
+    free = prior.free_shapes(data.grid.count, block)
     if layout is not None:
         p, place = prior.laid_precision(layout), np.ascontiguousarray(layout.fine.ravel())
         ab = np.zeros((max(len(p), farthest(place, data.ab.subdiagonals) + 1), p.shape[1]))
         spread_band(data.ab.whole(), place, ab)
         ab[: len(p)] += p
-        ones = _constants(p.shape[1], block, place)
-        pulled, beside = band_times(p, ones), np.zeros((p.shape[1], data.border.shape[1]))
-        beside[place] = data.border
+        laid, beside = (np.zeros((p.shape[1], known.shape[1])) for known in (free, data.border))
+        laid[place], beside[place] = free, data.border
+        pulled = band_times(p, laid)
         border = np.concatenate([beside, -pulled], axis=1)
-        return _Banded(BandedFactor(ab), ones, pulled, place, border)
+        return _Banded(BandedFactor(ab), laid, pulled, place, border)
     n, width = data.ab.n, prior.width(block)
-    ones = _constants(n, block, np.arange(n))
-    pulled = np.zeros(ones.shape)
+    pulled = np.zeros(free.shape)
     depth = min(max(width, data.ab.subdiagonals), n - 1) + 1
 
     def columns(first: int, last: int) -> Array:
         p = prior.precision_columns(first, last, block)[:depth]
-        add_band_times(p, ones, first, pulled)
+        add_band_times(p, free, first, pulled)
         out = np.zeros((depth, last - first))
         out[: data.ab.subdiagonals + 1] = data.ab.columns(first, last)
         out[: len(p)] += p
         return out
 
     factor = BandedFactor.of_columns(depth - 1, n, columns)
-    return _Banded(factor, ones, pulled, None, np.concatenate([data.border, -pulled], axis=1))
-
-
-def _constants(size: int, block: int, place: Index) -> Array:
-    """(size, 3) a constant of roll, of pitch and of yaw, whose unknowns stand at `place`."""
-    ones = np.zeros((size, 3))
-    for axis in range(3):
-        ones[place[axis::block], axis] = 1.0
-    return ones
+    return _Banded(factor, free, pulled, None, np.concatenate([data.border, -pulled], axis=1))
 
 
 def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
-    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
-    precision = prior.border_precision
-    columns, corner = len(precision), data.corner + precision
-    if constants:
-        statics, columns = columns, columns + 3
-        grown = np.zeros((columns, columns))
-        grown[:statics, :statics] = corner
-        held = np.diag(1.0 / np.square(prior.constant_sigma))
-        grown[statics:, statics:] = banded.ones.T @ banded.pulled + held
-        corner = grown
+    """Factor of data + prior; the border holds statics, free parabolas and, if asked, a constant per axis."""
+    precision, sigma = prior.border_precision, prior.free_sigma
+    statics, free = len(precision), len(sigma) - (0 if constants else 3)
+    corner = np.zeros((statics + free,) * 2)
+    corner[:statics, :statics] = data.corner + precision
+    corner[statics:, statics:] = (banded.free.T @ banded.pulled + np.diag(sigma**-2.0))[:free, :free]
+    columns = len(corner)
     factor = BorderedFactor(banded.factor, banded.border[:, :columns], corner, banded.tied[:, :columns])
     return factor if banded.place is None else LaidFactor(factor, banded.place)
 
@@ -571,11 +583,12 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
     statics = len(prior.statics_sigma)
     beside = statics + (0 if prior.slow_precision is None else len(prior.slow_precision))
-    x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
+    free = len(prior.free_sigma)
+    x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(free)]))
     x, y = _held(factor, data, prior, x, y)
     nodes = x.reshape(data.grid.count, data.block)
     covariance = factor.border_covariance
-    sigma = np.sqrt(np.diag(covariance)[:-3])
+    sigma = np.sqrt(np.diag(covariance)[:-free])
     relief = nodes[:, 3:].copy() if data.block == 5 else None
     return JointEstimate(
         data.grid,
@@ -585,7 +598,7 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
         sigma[:statics],
         images,
         prior,
-        y[beside:-3],
+        y[beside:-free],
         sigma[beside:],
         ties,
         y[statics:beside],
