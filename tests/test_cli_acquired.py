@@ -144,3 +144,19 @@ def test_a_level_flight_is_cut_to_a_shorter_detector(tmp_path, capsys):
     written = load_acquisition(out / "acquisition.toml")
     assert [image.shape for image in written.images] == [(64, 48)] * 2
     assert written.bands[0].camera.detector.tangents[0, 0] == pytest.approx(-23.5 * 5e-6)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_the_truth_reaches_to_the_exposures_of_all_bands(tmp_path, capsys):
+    """A panchromatic band, and a colour .159 s later: what `recover` will say reaches as far."""
+    for name, shape in {"PA": (256, 128), "B0": (64, 32)}.items():
+        np.save(tmp_path / f"raw_{name}.npy", np.arange(np.prod(shape)).reshape(shape).astype(np.uint16))
+    images = [str(tmp_path / f"raw_{name}.npy") for name in ("PA", "B0")]
+    assert run(["init", *images, "--preset", "pleiades", "--out", str(tmp_path / "acq")]) == 0
+    file = tmp_path / "acq" / "acquisition.toml"
+    assert simulated(file, tmp_path / "sim", "--lines", "256", "--columns", "128") == 0
+    truth = np.loadtxt(tmp_path / "sim" / "truth.csv", delimiter=",", skiprows=1)
+    t, period = truth[:, 0], 0.1034e-3
+    assert t[0] == 0.0 and np.diff(t) == pytest.approx(period)
+    last = 0.1591 + 63 * 4 * period
+    assert last <= t[-1] < last + period

@@ -153,12 +153,14 @@ def tdi_cost(problem: TdiProblem) -> Cost:
     )
 
 
-def strip_cost(bands: Sequence[Band], options: RecoverOptions) -> Cost:
+def strip_cost(bands: Sequence[Band], options: RecoverOptions, surface: Surface | None = None) -> Cost:
     """Of ``recover_line_of_sight`` and its files.
 
     Four bands of 6,000 lines x 3,000 columns took 53 s and 0.63 GB; of 300 columns, whose motion is solved on
     the fine grid in every pass, 3,000 lines 26 s and 12,000 lines 91 s: 0.27 us for a pixel of a pair, and 2
-    or 5.5 ms for a line. Memory is 1.9 bytes for a pixel of a pair at most.
+    or 5.5 ms for a line. Memory is 1.9 bytes for a pixel of a pair at most. The solution costs the square of
+    the longest lag, which `surface` lets be known: 1,640 lines on nodes two lines apart took some 400 s of
+    3,200 lines, on nodes five lines apart 20 s.
     """
     lines, columns = (max(band.image.shape[axis] for band in bands) for axis in (0, 1))
     pairs = len(options.pairs) or len(bands) * (len(bands) - 1) // 2
@@ -171,9 +173,17 @@ def strip_cost(bands: Sequence[Band], options: RecoverOptions) -> Cost:
     )
     searched = first / (2.0 * options.first_window[0] * options.first_window[1]) / 1.5
     windows = 100.0 / width * usual / options.step
-    each = 2e-3 if columns // width > options.draft_blocks else 5.5e-3
+    from sightline.motion.strip.strip import longest_lag, suited
+
+    wide = columns // width > options.draft_blocks
+    each = 2e-3 if wide else 5.5e-3
+    solved = 0.0
+    if surface is not None and pairs:
+        lag = longest_lag([band.camera for band in bands], surface)
+        nodes = 3.0 / suited(options, bands, surface).grid_lines
+        solved = (0.3 if wide else 1.0) * 9e-9 * nodes * (lines + lag) * (nodes * lag) ** 2
     return Cost(
-        12.0 + each * lines + 0.27e-6 * pixels * (0.9 * max(rows, 0.1) + 0.1 * searched),
+        12.0 + solved + each * lines + 0.27e-6 * pixels * (0.9 * max(rows, 0.1) + 0.1 * searched),
         BASE_BYTES + 0.2e9 + 1.9 * pixels * max(windows, 0.05) + 200.0 * first,
         f"{len(bands)} bands of {lines:,} lines x {columns:,} columns in {pairs:,} "
         f"{'pair' if pairs == 1 else 'pairs'}"

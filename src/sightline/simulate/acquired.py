@@ -189,9 +189,17 @@ class AcquiredScenario:
 
     @property
     def truth(self) -> Array:
-        """(N, 4) t, roll, pitch, yaw at every line of the first band."""
+        """(N, 4) t, roll, pitch, yaw at every line of the first band.
+
+        Its lines are gone on before and after, from the first exposure of any band to the last.
+        """
         camera = self.nominal_cameras[0]
-        t = camera.times(np.arange(float(camera.lines)))
+        ends = np.array([c.times(np.array([0.0, c.lines - 1.0])) for c in self.nominal_cameras])
+        period = (ends[0, 1] - ends[0, 0]) / (camera.lines - 1.0)
+        before, after = (ends[0, 0] - ends.min()) / period, (ends.max() - ends[0, 1]) / period
+        # what is less than a thousandth of a line outside is rounding
+        more = np.ceil(np.array([before, after]) - 1e-3)
+        t = camera.times(np.arange(-more[0], camera.lines + more[1]))
         return np.column_stack([t, self.motion.at(t)])
 
     @cached_property

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from motion.strips import IFOV, PERIOD, strip_cameras
+from sightline.applications.expected_cost import strip_cost
 from sightline.errors import InputError
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
@@ -53,6 +54,48 @@ def test_rows_follow_a_short_lag(lag, step, window, grid_lines):
     # what was asked for stays
     asked = RecoverOptions(step=3)
     assert suited(asked, bands, Plane()) is asked
+
+
+def late_cameras(*lags):
+    """Cameras whose lines show the same ground so many lines later."""
+    return [
+        replace(camera, first_line_time=camera.first_line_time + lag * PERIOD)
+        for camera, lag in zip(strip_cameras([-lag for lag in lags], *SHAPE), lags, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("lag", "wide", "expected"),
+    [
+        # 1920 lines are 960 nodes two lines apart: 300 of them are 3.2 times as far, if lines are as long
+        (1920.0, 4.0, 6.4), (1920.0, 2.0, 4.0), (1920.0, 1.0, 2.0), (500.0, 4.0, 2.0),
+    ],
+)  # fmt: skip
+def test_nodes_are_farther_apart_where_a_long_lag_meets_long_lines(lag, wide, expected):
+    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
+    cameras = late_cameras(0.0, 0.8 * lag, lag)
+    if wide > 1.0:
+        cameras = [cameras[0]] + [
+            replace(camera, detector=replace(camera.detector, line_period=PERIOD * wide))
+            for camera in cameras[1:]
+        ]
+    bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
+    assert suited(RecoverOptions(), bands, Plane()).grid_lines == pytest.approx(expected, rel=0.02)
+    # a node that is asked for stays
+    asked = RecoverOptions(grid_lines=2.5)
+    assert suited(asked, bands, Plane()) is asked
+
+
+def test_a_long_lag_costs_its_square():
+    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
+
+    def seconds(lag):
+        bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(late_cameras(0.0, lag))]
+        return strip_cost(bands, RecoverOptions(), Plane()).seconds
+
+    short, long, longer = (seconds(lag) for lag in (50.0, 1500.0, 3000.0))
+    # squares of 1500 and 3000, of 1901 and 3401 lines from the first exposure to the last
+    assert (longer - short) / (long - short) == pytest.approx(4.0 * 3401 / 1901, rel=0.02)
 
 
 @pytest.mark.parametrize(

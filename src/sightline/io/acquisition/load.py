@@ -236,7 +236,7 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
             )
         else:
             options = RecoverOptions(**given, method=method)
-            cost = strip_cost(acquired.bands, options)
+            cost = strip_cost(acquired.bands, options, acquired.surface)
             cost.check()
             known, sensors, control = acquired.known_motion, acquired.sensors, acquired.control_points
             ready_strip(acquired.bands, acquired.surface, sensors, control, known, options)

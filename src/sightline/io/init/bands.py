@@ -113,7 +113,10 @@ def acquisition_of_bands(
     assumed, unknown = _assumed(preset, sign), _unknown(preset, sign)
     parts = [_common(preset, bands[0])]
     parts += [_band(preset, band, bands[0], folder, 1 if sign is None else sign) for band in bands]
-    parts.append("[surface]\nheight = 0.0                      # m, the mean of the ground")
+    parts += [
+        "[surface]\nheight = 0.0                      # m, the mean of the ground",
+        *search(preset, bands),
+    ]
     return FirstAcquisition(acquisition_text(assumed, unknown, parts, folder), assumed, unknown)
 
 
@@ -357,8 +360,16 @@ image = {toml_string(path_from(band.path, folder))}
 image_band = {band.number}
 first_line_time = {lag + 0.0!r}           # s; {known}
 look_ahead = {ahead!r} # rad, -atan(lag x speed / altitude)
-offset_sigma_px = {preset.offset_sigma_px!r}
+offset_sigma_px = {preset.offset_sigma_px / wide!r}
 rotation_sigma = {preset.rotation_sigma!r}{own}"""
+
+
+def search(preset: Preset, bands: Sequence[BandImage]) -> list[str]:
+    """[matching] of bands of unlike pixels, whose places differ by many of the fine ones; none of others."""
+    if len({preset.wide_of(band.name) for band in bands}) == 1:
+        return []
+    far = math.ceil(3.0 * math.sqrt(2.0) * preset.offset_sigma_px)
+    return [f"[matching]\nsearch_px = [{far}, {far}]   # 3 sigma of the places of two bands, fine pixels"]
 
 
 def path_from(image: Path, folder: Path) -> str:

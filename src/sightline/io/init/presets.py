@@ -32,7 +32,7 @@ class Preset:
     pixel : float
         m on the ground.
     offset_sigma_px, rotation_sigma : float
-        How well the place (px) and the direction (rad) of a band in a crop are known.
+        How well the place (px of size `pixel`) and the direction (rad) of a band in a crop are known.
     sources : tuple of str
         Where each of these numbers comes from.
     wide : mapping

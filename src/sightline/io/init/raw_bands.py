@@ -33,6 +33,7 @@ from sightline.io.init.bands import (
     band_images,
     judged_lags,
     path_from,
+    search,
 )
 from sightline.io.init.presets import PRESETS, Preset
 from sightline.io.init.telemetry import FirstSensors, body_turn, first_sensors
@@ -91,7 +92,7 @@ def acquisition_of_raw_bands(
         *preset.sources[1:],
         f"orbit and attitudes: those of {product.path.name}, as it describes its own virtual line",
         "line 0 of every image shows the same ground, the columns lie about the middle of the view: bands "
-        f"are placed to {preset.offset_sigma_px:g} px and turned to {preset.rotation_sigma:g} rad (1-sigma)",
+        f"lie to {preset.offset_sigma_px:g} fine px and turn to {preset.rotation_sigma:g} rad (1-sigma)",
         *(() if sensors is None else sensors.assumed),
     )
     unknown = (
@@ -104,6 +105,7 @@ def acquisition_of_raw_bands(
         _common(product, preset, bands[0], mount),
         *(_band(preset, band, bands[0], folder, first[band.name], looks[band.name]) for band in bands),
         _surface(product),
+        *search(preset, bands),
         *([sensors.text] if sensors is not None and sensors.text else []),
     ]
     text = acquisition_text(assumed, unknown, parts, folder)
@@ -241,7 +243,7 @@ def _band(
         f"first_line_time = {first!r}   # s from line 0 of the product; lags are known to 0.003 s",
         f"look_ahead = {math.atan(look[0]) + 0.0!r}   # rad: where it sees the same ground",
         f"offset_px = [0.0, {look[1] / (preset.ifov * wide) + 0.0!r}]   # likewise",
-        f"offset_sigma_px = {preset.offset_sigma_px!r}",
+        f"offset_sigma_px = {preset.offset_sigma_px / wide!r}",
         f"rotation_sigma = {preset.rotation_sigma!r}",
     ]
     if wide != preset.wide_of(common.name):

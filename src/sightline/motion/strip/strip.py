@@ -19,7 +19,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.measure.common_view import Views, common_views
-from sightline.motion.measure.laid_strips import MOST_UNLIKE, pixel_sizes
+from sightline.motion.measure.laid_strips import MOST_UNLIKE, UNLIKE, pixel_sizes
 from sightline.motion.measure.plan import (
     LEAST_WINDOW,
     ROWS_IN_LAG,
@@ -47,6 +47,8 @@ METHODS = ("joint", "inverse", "wiener", "polynomial", "kalman")
 HYBRIDISE = ("global", "iterative")
 #: Lines at which the ground of a strip is sought.
 GROUND_PLACES = 9
+#: Nodes of the motion in the longest lag beyond which they are laid farther apart where images allow it.
+MOST_NODES = 300
 
 
 @dataclass(frozen=True)
@@ -217,14 +219,19 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
     A pair sees motion by how it differs over its lag: rows farther apart than some half of that sample what
     the pair sees too coarsely, and windows as high as that average it away. Windows, rows or nodes that were
     asked for stay as they are.
+
+    Where lags are many nodes, whose square the solution costs, and the coarser image of every pair has long
+    lines, nodes are as far apart as on these at most: windows of such lines average what lies between.
     """
     usual = RecoverOptions()
     for key in ("window", "step", "grid_lines"):
         if getattr(options, key) != getattr(usual, key):
             return options
-    rows = _shortest_lag([band.camera for band in bands], surface) / ROWS_IN_LAG
+    cameras = [band.camera for band in bands]
+    rows = _shortest_lag(cameras, surface) / ROWS_IN_LAG
     if rows >= usual.step:
-        return options
+        wider = min(_coarser_lines(cameras), longest_lag(cameras, surface) / usual.grid_lines / MOST_NODES)
+        return replace(options, grid_lines=usual.grid_lines * wider) if wider > UNLIKE else options
     step = max(int(rows), 1)
     return replace(
         options,
@@ -236,7 +243,23 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
 
 def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float:
     """Lines of the finest between two images' sights of a place, the least of all pairs; inf without any."""
-    shortest, finest = math.inf, min(camera.detector.line_period for camera in cameras)
+    return min(_lags(cameras, surface), default=math.inf)
+
+
+def longest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float:
+    """The same, the most of all pairs; 0 without any."""
+    return max(_lags(cameras, surface), default=0.0)
+
+
+def _coarser_lines(cameras: Sequence[PushbroomCamera]) -> float:
+    """Line period of the coarser image of a pair, the least of all pairs, over that of the finest image."""
+    periods = sorted(camera.detector.line_period for camera in cameras)
+    return periods[1] / periods[0] if len(periods) > 1 else 1.0
+
+
+def _lags(cameras: Sequence[PushbroomCamera], surface: Surface) -> list[float]:
+    """Lines of the finest between two images' sights of a place, of every pair that shares places."""
+    found, finest = [], min(camera.detector.line_period for camera in cameras)
     for k, camera in enumerate(cameras):
         lines = np.linspace(0.0, camera.lines - 1.0, GROUND_PLACES)
         pixels = np.column_stack([lines, np.full(len(lines), (camera.columns - 1) / 2.0)])
@@ -246,8 +269,8 @@ def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float
             lag = np.abs(exposure_times(other, seen) - exposure_times(camera, pixels)) / finest
             known = lag[np.isfinite(lag) & (lag > 0.5)]  # half a line is none
             if len(known):
-                shortest = min(shortest, float(np.median(known)))
-    return shortest
+                found.append(float(np.median(known)))
+    return found
 
 
 def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -> Strip:
