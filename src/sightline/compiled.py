@@ -24,6 +24,9 @@ from functools import cache as once
 from hashlib import sha256
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sightline.errors import InputError, foreign_errors
 
 with foreign_errors(
@@ -41,6 +44,8 @@ with foreign_errors(
         UserProvidedCacheLocator,
         UserWideCacheLocator,
     )
+
+Array = NDArray[Any]
 
 # Modules may be imported on several threads: one choice, said once.
 _LOCK = threading.RLock()
@@ -70,6 +75,18 @@ def njit(*, cache: bool = True, **options: Any) -> Callable[[Callable[..., Any]]
         return kernel
 
     return compiled
+
+
+def only_read(*arrays: Array) -> tuple[Array, ...]:
+    """Read-only C-contiguous views of what a kernel only reads, copied where the layout asks for it.
+
+    An array that may be written to is of another type than one that may not: a kernel that is called with
+    either would be compiled twice.
+    """
+    views = tuple(np.ascontiguousarray(array).view() for array in arrays)
+    for view in views:
+        view.setflags(write=False)
+    return views
 
 
 class _HomeLocator(UserWideCacheLocator):  # type: ignore[misc]

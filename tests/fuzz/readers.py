@@ -483,8 +483,11 @@ for _name, _kind in (
     ("pass", "stereo"), ("flight", "frames"), ("strip", "line-of-sight"), ("orbit", "line-of-sight"),
     ("frames", "line-of-sight"),
 ):  # fmt: skip
+    # the size of a flight stands here too: a spoilt file could lose it, and the whole case takes minutes.
+    # Sizes that are spoilt themselves are among the options below
+    _size = " --frames 4 --lines 122 --columns 136" if _name == "flight" else ""
     _file = f"{_name}.toml"
-    command(f"scene: {_name}", "scene-files", _file, f"simulate {_kind} --scene @{_file} --out @out")
+    command(f"scene: {_name}", "scene-files", _file, f"simulate {_kind} --scene @{_file}{_size} --out @out")
 
 # Options of commands ----------------------------------------------------------------------------------------
 

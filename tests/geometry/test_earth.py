@@ -46,6 +46,10 @@ def test_poles_and_the_date_line_are_ordinary_places():
     assert geodetic[2, 0] == pytest.approx(np.pi)
 
 
+def test_the_centre_lies_one_equatorial_radius_below_the_equator():
+    assert_allclose(to_geodetic([[0.0, 0.0, 0.0]], WGS84), [[0.0, 0.0, -WGS84[0]]], atol=1e-9)
+
+
 def test_a_missing_point_stays_missing():
     assert np.isnan(to_geodetic([[np.nan, 0, 0]])).any()
 

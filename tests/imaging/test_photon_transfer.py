@@ -51,3 +51,13 @@ def test_noise_of_unlike_exposures_is_pooled_by_degrees_of_freedom():
     assert both.fixed.value + both.noise.value / 9.0 == pytest.approx(left)
     alone = with_noise_of(many, [many])
     assert alone.noise == many.noise and alone.fixed == many.fixed
+
+
+def test_the_sigma_of_a_column_is_the_scatter_of_its_means():
+    """Noise of 2 DN over four frames, a pattern of 3 DN over 60 pixels: 0.41 DN, known to 1 / sqrt(2 n)."""
+    rng = np.random.default_rng(5)
+    pattern = 100.0 + 3.0 * rng.standard_normal((60, 500))
+    frames = [ArrayImage(pattern + 2.0 * rng.standard_normal(pattern.shape)) for _ in range(4)]
+    stack = measure_stack(frames, [100.0] * 4, 0.0, 1e3, np.zeros(500, np.bool_))
+    scatter = np.std(stack.columns())
+    assert abs(scatter / stack.column_sigma() - 1.0) < 4.0 / np.sqrt(2.0 * 500)

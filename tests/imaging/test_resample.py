@@ -48,4 +48,4 @@ def test_sampling_equals_the_plain_double_sum_and_is_nan_beyond_the_border():
         expected.append(wy @ image[i - 3 : i + 5, j - 3 : j + 5] @ wx)
     # float32 sums of 64 products of order 1
     assert np.abs(sample(image, positions) - expected).max() < 1e-4
-    assert np.isnan(sample(image, np.array([[1.0, 20.0], [20.0, 38.0], [np.nan, 3.0]]))).all()
+    assert np.isnan(sample(image, np.array([[1.0, 20.0], [27.0, 20.0], [20.0, 38.0], [np.nan, 3.0]]))).all()

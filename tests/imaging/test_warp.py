@@ -256,3 +256,18 @@ def test_a_smooth_map_is_evaluated_at_few_columns_and_a_bent_one_at_all(kink):
     assert_allclose(found, exact(np.arange(400.0), nodes.astype(float)), atol=1.5e-5, rtol=0.0)
     # every fourth column, and what shows that these are enough
     assert (sum(asked) < 0.5 * found[..., 0].size) == (kink == 0.0)
+
+
+def test_a_map_with_a_corner_is_followed_about_a_rough_column():
+    """A tooth of 0.4 px, 6 columns to either side of column 200: columns 64 apart would not see it."""
+
+    def mapping(lines, columns):
+        grid = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1)
+        grid[..., 0] += 0.4 * np.clip(1.0 - np.abs(columns - 200.0) / 6.0, 0.0, 1.0)
+        return grid
+
+    warped = WarpedImage(ArrayImage(whole_pattern()), mapping, SHAPE, rough=(200.0,))
+    line, column = np.mgrid[20.0:30.0, 150.0:250.0]
+    place = mapping(np.arange(20.0, 30.0), np.arange(150.0, 250.0))
+    assert np.abs(warped.read((20, 30), (150, 250)) - pattern(place[..., 0], column)).max() < KERNEL
+    assert np.abs(pattern(line, column) - pattern(place[..., 0], column)).max() > 2.0 * KERNEL

@@ -196,3 +196,13 @@ def test_correlation_term_by_term_equals_that_by_fourier_transform():
     assert np.abs(out - correlation_surface(windows, regions)).max() < 1e-5
     plain_value = np.corrcoef(windows[1].ravel(), fb[20:28, 29:49].ravel())[0, 1]
     assert out[1, 2, 4] == pytest.approx(plain_value, abs=1e-5)
+
+
+def test_a_mask_of_the_other_image_lies_where_the_window_does(smooth_pair):
+    """Half the window's pixels masked in either image, shifts whole: the same pixels are left."""
+    fa, fb = smooth_pair
+    corner, centre = np.array([[22, 25]]), np.array([[26.5, 76.5]])  # two columns to the right in b
+    bad = np.random.default_rng(0).random(fa.shape) < 0.5
+    by_own = refine(fa, fb, corner, centre, (10, 100), bad_a=bad)
+    by_other = refine(fa, fb, corner, centre, (10, 100), bad_b=np.roll(bad, 2, axis=1))
+    assert np.array_equal(by_own, by_other, equal_nan=True)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sightline.imaging.source import ArrayImage
-from sightline.matching.matches import OUTSIDE
-from sightline.matching.on_geometry import PairOnGeometry, lattice_points, middle_of, within
+from sightline.matching.matches import OUTSIDE, Matches
+from sightline.matching.on_geometry import FoundWindows, PairOnGeometry, lattice_points, middle_of, within
 from sightline.matching.select import grid_points
 from sightline.matching.whitening import pair_whitening
 
@@ -144,3 +144,15 @@ def test_a_map_that_is_flat_finds_nothing(pairs):
     for laid in (None, pair.laid()):
         found = pair.found(points, at=points, window=WINDOW, whitening=None, laid=laid)
         assert not found.matches.kept.any()
+
+
+def test_the_hub_has_its_share_of_the_error_by_how_large_the_partner_shows_the_scene():
+    """Noise of one strength in pixels of each: with four pixels of the partner to one of the hub, of the five
+    parts of an error one is the partner's."""
+    covariance = np.array([0.01 * np.eye(2), 0.04 * np.eye(2)])
+    turn = np.array([np.eye(2), [[0.0, -2.0], [2.0, 0.0]]])
+    places = np.zeros((2, 2))
+    matches = Matches(places, places, covariance, np.ones(2), np.zeros(2, np.uint8))
+    hub = np.array([0.01 * np.eye(2), 0.01 * np.eye(2)])
+    own, of_hub = FoundWindows(matches, hub, turn, 0.5).variances()
+    assert own == pytest.approx([0.005, 0.04 / 5.0]) and of_hub == pytest.approx([0.005, 0.01 * 4.0 / 5.0])

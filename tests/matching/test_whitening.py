@@ -7,7 +7,7 @@ from matching.fourier_textures import shifted_pair
 from sightline.errors import InputError
 from sightline.imaging.source import ArrayImage
 from sightline.matching.select import grid_points
-from sightline.matching.whitening import Whitening, estimate_whitening
+from sightline.matching.whitening import _EDGE, Whitening, _tiles, estimate_whitening
 
 SHAPE = (384, 512)
 
@@ -66,3 +66,19 @@ def test_a_shift_between_the_images_along_either_axis_is_no_loss_of_coherence():
     # 0.03 to 0.13 cycle/px along columns: noise is 1e-6 of it, a hundredth of a pixel off loses as little;
     # half a pixel would leave the taper 5e-4 off the texture
     assert found[0, 2:9].mean() > 1.0 - 1e-4
+
+
+def test_tiles_of_b_lie_under_those_of_a_by_the_affine():
+    """A plane shows where each pixel of a tile was read, to what the kernel leaves of a line (0.005 px)."""
+    lines, columns = np.mgrid[0.0:160.0, 0.0:200.0]
+    plane = ArrayImage((10.0 * lines + columns).astype(np.float32))
+    point, predicted = np.array([[70.3, 90.4]]), np.array([[75.0, 88.0]])
+    linear = np.array([[[0.02, 0.2], [-0.05, 0.01]]])
+    numbered = ArrayImage((200.0 * lines + columns).astype(np.float32))
+    a, b = _tiles((numbered, plane), point, predicted, linear, (16, 20), (3, 2))
+    row, column = divmod(int(a[0, 0, 0]), 200)
+    wider = np.array([3 + _EDGE, 2 + _EDGE])
+    for k in ((0, 0), (5, 30), (20, 7)):
+        own = np.array([row, column]) - wider + k
+        seen = predicted[0] + (np.eye(2) + linear[0]) @ (own - point[0])
+        assert b[0][k] == pytest.approx(seen @ [10.0, 1.0], abs=0.1)

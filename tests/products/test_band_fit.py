@@ -109,3 +109,10 @@ def test_windows_that_scatter_along_one_axis_are_all_kept():
     rng = np.random.default_rng(4)
     offset = rng.normal(0.0, [0.05, 2.0], (300, 2))
     assert lie_together(offset, np.full((300, 2), 0.05), (8, 8)).mean() > 0.97
+
+
+@pytest.mark.parametrize(("shift", "search"), [((6, 0), (8, 2)), ((0, 6), (2, 8))])
+def test_coarse_pixels_are_sought_as_far_along_each_axis_as_asked(pair, shift, search):
+    moved = ArrayImage(np.roll(pair[0], shift, axis=(0, 1)))
+    fit = fit_bands(ArrayImage(pair[0]), moved, (0, 1), search_px=search, factor=2)
+    assert fit.mean_px == pytest.approx(shift, abs=0.05)

@@ -90,6 +90,8 @@ def test_bands_of_whole_frames():
     colour = frame_bands((20, 20), None, (620.0, 540.0, 460.0))
     assert colour.channel.tolist() == [2, 1, 0]
     assert frame_bands((20, 20)).names == ("all light",)
+    # each line has its own entry, the same for all
+    assert mosaic.offset.tolist() == list(range(21)) and len(mosaic.entry_group) == 20
 
 
 def test_a_surface_through_points_is_better_than_they_are():

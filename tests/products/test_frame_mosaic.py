@@ -108,3 +108,12 @@ def test_a_picture_that_is_too_large_is_refused(scene, monkeypatch):
     monkeypatch.setattr(module, "MOST_PIXELS", 1000)
     with pytest.raises(InputError, match="more than 1000; give fewer exposures"):
         frame_mosaic(frames, [frame.camera for frame in frames], Infinity())
+
+
+@pytest.mark.parametrize("shape", [(40, 12), (40, 90)])
+def test_strips_fade_towards_their_first_and_last_lines(shape):
+    weight = module._fade(shape)
+    assert weight.shape == shape and np.array_equal(weight, weight[::-1])
+    assert np.all(weight == weight[:, :1])
+    assert weight[0, 0] == np.float32(0.01) and np.all(weight[9:31] == 1.0)
+    assert np.all(np.diff(weight[3:9, 0]) > 0.1)

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.compiled import only_read
 from sightline.errors import InputError
 from sightline.estimation.prior import Spectrum, Tone
 from sightline.estimation.series_kernels import TAPS, accumulate, fill_grid_weights
@@ -111,7 +112,7 @@ class Grid:
 
         And over `tdi` (s) besides, as in `DifferenceSeries`.
         """
-        t = np.ascontiguousarray(t, dtype=np.float64)
+        (t,) = only_read(np.asarray(t, dtype=np.float64))
         first = np.empty(len(t), dtype=np.int64)
         weights = np.empty((len(t), _support(window + tdi, self.step, self.count)))
         fill_grid_weights(t, float(window), float(tdi), self.start, self.step, self.count, first, weights)

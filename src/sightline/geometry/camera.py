@@ -373,7 +373,13 @@ class PushbroomCamera(ReadOnlyArrays):
         self._check_lines(pixels[:, 0])
         origins, directions = np.empty((len(pixels), 3)), np.empty((len(pixels), 3))
         line_rays(
-            pixels, table.rows, float(table.first), table.origin, self.detector.tangents, origins, directions
+            read_only(pixels),
+            table.rows,
+            float(table.first),
+            table.origin,
+            self.detector.tangents,
+            origins,
+            directions,
         )
         return origins, directions
 

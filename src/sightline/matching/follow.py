@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sightline.compiled import only_read
 from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.geometry.checks import ReadOnlyArrays, frozen
 from sightline.imaging.reduce import pattern_means, whole_pixels
@@ -312,7 +313,7 @@ class _Reader:
         mean = float(level.mean())
         level = np.ascontiguousarray((level - np.float32(mean)) / np.float32(max(abs(mean), 1e-6)))
         fine = np.empty_like(level)
-        kernels.filter_image(level, self.taps, fine)
+        kernels.filter_image(level, *only_read(self.taps), fine)
         coarse = _detail(level, self._factor)
         # blur must leave what fine contrast is compared with
         blunt = coarse if self._factor >= _BLUNT else _detail(level, _BLUNT)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.compiled import only_read
 from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching import kernels
@@ -153,7 +154,7 @@ def _filtered(pixels: NDArray[np.float32], taps: NDArray[np.float32] | None) -> 
     if taps is None:
         return level
     out = np.empty_like(level)
-    kernels.filter_image(level, taps, out)
+    kernels.filter_image(level, *only_read(taps), out)
     return out
 
 

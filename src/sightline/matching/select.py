@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.compiled import only_read
 from sightline.errors import InputError
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching import kernels
@@ -112,7 +113,7 @@ def _weaker_curvature(
 ) -> NDArray[np.float64]:
     """Smaller eigenvalue of the mean gradient product of windows."""
     sums = np.empty((len(corner), 3))
-    kernels.window_curvature(pixels, corner, (int(window[0]), int(window[1])), sums)
+    kernels.window_curvature(*only_read(pixels), corner, (int(window[0]), int(window[1])), sums)
     yy, yx, xx = (sums / (window[0] * window[1])).T
     weaker = 0.5 * (yy + xx) - np.hypot(0.5 * (yy - xx), yx)
     if unusable is not None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.compiled import only_read
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.block.pose_noise import PoseNoise, aim_sensitivity
@@ -106,13 +107,16 @@ def triangulate(
     turned, place = _poses(sightings, angles, attitude, position)
     weighed = sightings.px_per_tangent / sightings.sigma_px[:, None, None]
     positions, inverse = np.empty((len(point), 3)), np.empty((len(point), 3, 3))
-    meet(begin, order, sightings.pose, sightings.tangents, weighed, turned, place, positions, inverse)
+    pose, tangents, image, camera, body_from_camera = only_read(
+        sightings.pose, sightings.tangents, sightings.image, sightings.camera, sightings.body_from_camera
+    )
+    meet(begin, order, pose, tangents, weighed, turned, place, positions, inverse)
     covariance = inverse.copy()
     if noise is not None or angle_covariance is not None:
         spread(
-            begin, order, sightings.pose, sightings.image, sightings.camera, weighed,
-            turned, place, sightings.body_from_camera, positions, inverse, *_unknown(sightings, noise),
-            _angle_covariance(sightings, angle_covariance), covariance,
+            begin, order, pose, image, camera, weighed, turned, place, body_from_camera, positions, inverse,
+            *_unknown(sightings, noise), *only_read(_angle_covariance(sightings, angle_covariance)),
+            covariance,
         )  # fmt: skip
     return Triangulation(
         as_index(point, "point"), None if shot is None else as_index(shot, "shot"), as_index(row, "row"),

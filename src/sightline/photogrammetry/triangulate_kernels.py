@@ -216,8 +216,17 @@ def spread(
                 turned[pose[s]], place[pose[s]], mounts[which], weighed[s], points[i], inverse[i], work,
                 move[k], turn[k],
             )  # fmt: skip
-            by_angles[:, 3 * which : 3 * which + 3] += turn[k]
-        out += by_angles @ angle_covariance @ by_angles.T
+            for a in range(3):
+                for b in range(3):
+                    by_angles[a, 3 * which + b] += turn[k, a, b]
+        # in loops: what numpy has for it takes longer to compile than all else here
+        for j in range(len(angle_covariance)):
+            for a in range(3):
+                share = 0.0
+                for m in range(len(angle_covariance)):
+                    share += by_angles[a, m] * angle_covariance[m, j]
+                for b in range(3):
+                    out[a, b] += share * by_angles[b, j]
         for k in range(len(rows)):
             this = image[rows[k]]
             _add_square(turn[k], sigma_attitude**2, out)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.compiled import only_read
 from sightline.errors import InputError, SightlineError
 from sightline.execution import in_threads
 from sightline.geometry.checks import ReadOnlyArrays
@@ -82,13 +83,11 @@ class FrameViews(ReadOnlyArrays):
     def of(self, frame: int) -> tuple[Array, Array, Array, Array, float]:
         """Matrices, positions, lens, distortion and reach, as the loops take them."""
         d = self.detector
-        return (
-            np.ascontiguousarray(self.camera_from_world[frame]),
-            np.ascontiguousarray(self.position[frame]),
-            np.array([d.focal_length_px, *d.principal_point_px]),
-            d.coefficients,
-            d.reach,
+        lens = np.array([d.focal_length_px, *d.principal_point_px])
+        matrix, position, lens, coefficients = only_read(
+            self.camera_from_world[frame], self.position[frame], lens, d.coefficients
         )
+        return matrix, position, lens, coefficients, d.reach
 
 
 @dataclass(frozen=True)
@@ -299,9 +298,9 @@ class CubeMaker:
             # places that this frame cannot show are left until they are seen anew
             last[: box[0]], last[box[1] :], last[:, : box[2]], last[:, box[3] :] = (np.nan,) * 4
             choose_views(
-                world, box, *self.views.of(frame), self.views.detector.shape, bands.period, bands.offset,
-                bands.entry_group, bands.centre, bands.half, bands.spare, float(self._penalty[frame]), frame,
-                cost, view, beyond, last, passed,
+                *only_read(world), box, *self.views.of(frame), self.views.detector.shape, bands.period,
+                bands.offset, bands.entry_group, bands.centre, bands.half, bands.spare,
+                float(self._penalty[frame]), frame, cost, view, beyond, last, passed,
             )  # fmt: skip
         values = np.full((len(bands), *flat), np.nan, dtype=np.float32)
         return FilledTile(tile, values, view, passed, beyond)
@@ -324,7 +323,7 @@ class CubeMaker:
         """Values of the places of which a frame is the view; whether it could be read."""
         shape, period = np.array(self.views.detector.shape), np.array(self.layout.period)
         pixels = np.empty((len(places), 2))
-        see_places(world, places, *self.views.of(frame), self.views.detector.shape, pixels)
+        see_places(*only_read(world), places, *self.views.of(frame), self.views.detector.shape, pixels)
         low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _REACH * period, 0)
         low -= low % period
         high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _REACH * period + 1, shape)

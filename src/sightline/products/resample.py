@@ -245,28 +245,30 @@ def _resample_rows(image, position, nodes, table, out):  # type: ignore[no-untyp
     place = np.empty(max(out.shape[1], pitch))
     column = np.empty(out.shape[1])
     v = np.empty(pitch, np.float32)
+    # of a type, not literals: what they are given to would be compiled for each
+    along, across, next_pixel = np.int64(0), np.int64(1), np.int64(1)
     for i in range(out.shape[0]):
         at = position[i]
         if _is_steep(at, nodes):
-            _between(at, nodes, 0, 0.0, place)
-            _between(at, nodes, 1, 0.0, column)
+            _between(at, nodes, along, 0.0, place)
+            _between(at, nodes, across, 0.0, column)
             _by_pixel(image, place, column, table, w, out[i])
             continue
         # a pixel more on both sides: the weights of a stretch begin where its middle does
         first = max(int(np.floor(at[0, 1])) - BEFORE - 1, 0)
         count = min(int(np.floor(at[-1, 1])) + TAPS - BEFORE + 1, pitch) - first
-        line, half = _range_of(at, nodes, 0, 0.0)
+        line, half = _range_of(at, nodes, along, 0.0)
         if half <= CONSTANT:
             _steady(data, first - BEFORE * pitch, pitch, table, line, w, v[:count])
         else:
             _lines_along(at, first, place[:count])
             _changing(data, first - BEFORE * pitch, pitch, table, place[:count], w, t, v[:count])
-        shift, half = _range_of(at, nodes, 1, 1.0)
+        shift, half = _range_of(at, nodes, across, 1.0)
         if half <= CONSTANT:
-            _steady(v, -BEFORE - first, 1, table, shift, w, out[i])
+            _steady(v, -BEFORE - first, next_pixel, table, shift, w, out[i])
         else:
-            _between(at, nodes, 1, 1.0, place)
-            _changing(v, -BEFORE - first, 1, table, place, w, t, out[i])
+            _between(at, nodes, across, 1.0, place)
+            _changing(v, -BEFORE - first, next_pixel, table, place, w, t, out[i])
 
 
 def resample_rows(

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.compiled import njit
+from sightline.compiled import njit, only_read
 from sightline.errors import GeometryError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.simulate.scene import Relief, Scene
@@ -137,7 +137,7 @@ def footprint(
     z = np.zeros_like(x)
     if relief is not None:
         corner = np.array([relief.west, relief.north, *relief.posting])
-        if not _drop(x, y, z, u, v, relief.heights, corner):
+        if not _drop(x, y, z, u, v, *only_read(relief.heights), corner):
             raise GeometryError(
                 "lines of sight do not settle on the relief: the ground is steeper than the rays; "
                 "use gentler relief or view it closer to the vertical"

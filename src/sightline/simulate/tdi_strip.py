@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.compiled import njit
+from sightline.compiled import njit, only_read
 from sightline.errors import InputError
 from sightline.tdi.setting import TdiDetector
 
@@ -208,7 +208,7 @@ def exposed_stages(scene: FineScene, settings: StripSettings, detector: TdiDetec
     stencil = np.zeros((int(np.ceil(spread * scene.per_pixel)) + 6,) * 2)
     moving = settings.motion is not None
     grid = (scene.per_pixel, scene.margin)
-    _expose(scene.radiance, grid, stages, ratio, head, drift, motion, moving, stencil, out)
+    _expose(scene.radiance, grid, *only_read(stages, ratio), head, drift, motion, moving, stencil, out)
     return out
 
 

@@ -90,7 +90,11 @@ def fewest_changes(  # type: ignore[no-untyped-def]
         begin = start[c]
         start[c + 1] = begin + n
         while start[c + 1] > kept.shape[0]:
-            kept, came_from = np.concatenate((kept, kept)), np.concatenate((came_from, came_from))
+            more_kept = np.empty(2 * kept.shape[0], dtype=np.int32)
+            more_came_from = np.empty(2 * kept.shape[0], dtype=np.int32)
+            for i in range(begin):
+                more_kept[i], more_came_from[i] = kept[i], came_from[i]
+            kept, came_from = more_kept, more_came_from
         at_row, near_cost, near_place = -1, np.int64(_NEVER), np.int32(-1)
         for i in range(n):
             p = found[i]

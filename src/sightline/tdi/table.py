@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.access import read_bytes
+from sightline.compiled import only_read
 from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.tdi.setting import MOST_RATIOS, MOST_STAGES, RATIO_BITS, STAGE_BITS, Array, Index, TdiGrid
 from sightline.tdi.table_kernels import words_by_passes, words_by_signal
@@ -163,6 +164,7 @@ class TdiTable:
         lines = np.ascontiguousarray(given).reshape(-1, given.shape[-1])
         if np.may_share_memory(lines, out):  # words are written before all signals are read
             lines = lines.copy()
+        (lines,) = only_read(lines)
         starts, thresholds, words = self._whole_cells if given.dtype == np.uint16 else self._real_cells
         if self._spread is not None:
             begins, last, spread = self._spread

@@ -371,6 +371,7 @@ class _Builder:
         ratios, count = len(self.choice.grid.ratios), len(self.choice.grid)
         setting = np.empty((len(shared), len(borders)), dtype=np.intp)
         none, ones = np.zeros((len(shared), count), dtype=np.uint8), np.ones(count, dtype=np.float32)
+        allowed = np.zeros(len(shared), dtype=np.uint8)
         candidates = [[one.candidates(a, b) for a, b in zip(borders, ends, strict=True)] for one in shared]
         shares = [
             self._shares(panel, one, borders, some) for one, some in zip(shared, candidates, strict=True)
@@ -381,7 +382,7 @@ class _Builder:
             for g in range(len(shared)):
                 worth[g, candidates[g][k]] = np.clip(shares[g][k], LEAST_SHARE, 1.0)
             fewest_changes(
-                worth, none, ones, none[0], worth.argmax(axis=1), none[:, 0], 1.0 - 0.5 * LEAST_SHARE,
+                worth, none, ones, none[0], worth.argmax(axis=1), allowed, 1.0 - 0.5 * LEAST_SHARE,
                 ratios, largest_step, LOSS_LEVELS, path, far,
             )  # fmt: skip
             setting[:, k] = path

@@ -22,7 +22,7 @@ def enumerate_layouts(re, im, gain, power, weights, total, allowed, bins, firsts
     n = len(weights)
     sums_re, sums_im = np.zeros((n, count), np.float32), np.zeros((n, count), np.float32)
     at = np.zeros(n, np.int64)
-    pool, values = np.zeros((2 * kept, n), np.int64), np.full(2 * kept, -np.inf)
+    pool, values = np.zeros((kept, n), np.int64), np.full(kept, -np.inf)
     by_span, by_span_places = np.full(places, -np.inf), np.zeros((places, n), np.int64)
     held, threshold, killer, tried = 0, -np.inf, 0, 0
     level = 0
@@ -69,19 +69,18 @@ def enumerate_layouts(re, im, gain, power, weights, total, allowed, bins, firsts
                 by_span[span] = worst
                 by_span_places[span] = at
             if worst > threshold:
-                pool[held] = at
-                values[held] = worst
-                held += 1
-                if held == 2 * kept:
-                    best = np.argsort(-values)[:kept]
-                    pool[:kept] = pool[best]
-                    values[:kept] = values[best]
-                    values[kept:] = -np.inf
-                    threshold = values[kept - 1]
-                    held = kept
+                # to its place among the best: a sort takes longer to compile than all else here
+                place = min(held, kept - 1)
+                while place > 0 and values[place - 1] < worst:
+                    values[place] = values[place - 1]
+                    pool[place] = pool[place - 1]
+                    place -= 1
+                values[place] = worst
+                pool[place] = at
+                held = min(held + 1, kept)
+                threshold = values[kept - 1]
         at[level] += 1
-    best = np.argsort(-values[:held])[: min(held, kept)]
-    return pool[best], values[best], by_span, by_span_places, tried
+    return pool[:held], values[:held], by_span, by_span_places, tried
 
 
 @njit(cache=True, nogil=True)
@@ -125,7 +124,8 @@ def exchange(re, im, gain, power, weights, total, allowed, start, free, pairs, a
     sum_re, sum_im = np.zeros(count, np.float32), np.zeros(count, np.float32)
     two_re, two_im = np.zeros(count, np.float32), np.zeros(count, np.float32)
     open_places = np.ones(places, np.bool_)
-    _rest(re, im, weights, at, 0, 0, sum_re, sum_im, allowed, open_places)
+    first = np.int64(0)  # of a type, not a literal: what it is given to would be compiled for either
+    _rest(re, im, weights, at, first, first, sum_re, sum_im, allowed, open_places)
     best = _least(re, im, gain, power, weights[0], sum_re, sum_im, total, at[0], -np.inf)
     tried, moved = 0, True
     while moved:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.compiled import only_read
 from sightline.errors import EstimationError
 from sightline.geometry.checks import Array, frozen
 from sightline.photogrammetry.block.bundle_kernels import curvatures, gradients, statistics
@@ -94,7 +95,7 @@ class BlockSums:
         turned, jacobian = rotations_of(x[:, :3])
         of_pose = (self.camera_from_body @ turned)[self.image_of_pose]
         return (
-            state.points, s.image, s.point, s.pose, s.tangents, self.scale, self.position,
+            state.points, *only_read(s.image, s.point, s.pose, s.tangents), self.scale, self.position,
             of_pose @ np.swapaxes(s.world_from_body, 1, 2), self.camera_from_body @ jacobian, x,
         )  # fmt: skip
 
@@ -550,7 +551,9 @@ def _statistic(curvature: Curvature, r: Array) -> tuple[Array, BoolArray, Array]
     np.add.at(of_points, c.point[idle], np.einsum("nka,nkb->nab", by_point, by_point))
     inverse = invert_points(of_points)
     out, checked, freedom = np.empty((3, len(r)))
-    statistics(c.rows, np.where(idle, 1.0, c.weight), c.point, inverse, r, _SEEN, out, checked, freedom)
+    statistics(
+        c.rows, np.where(idle, 1.0, c.weight), *only_read(c.point), inverse, r, _SEEN, out, checked, freedom
+    )
     return out, checked > 0.0, freedom
 
 
