@@ -277,6 +277,9 @@ def test_times_that_are_not_those_of_the_product_are_refused(images):
         changed(path, band, ORIGIN_TIME=stamped(lag + 20.0))
     status, said = said_by("init", path, *bands, "--out", images / "acq")
     assert status == 2 and "20 s after the model's first line" in said
+    path.write_text(whole.replace("<BAND_ID>B2</BAND_ID>", "<BAND_ID>B0</BAND_ID>"))
+    status, said = said_by("init", path, *bands[:2], "--out", images / "acq")
+    assert status == 2 and "its Band_TS_List holds B0 twice" in said
     path.write_text(whole)
     begin = whole.index("<Array_TS>", whole.index("<BAND_ID>B0</BAND_ID>", whole.index("<Band_TS_List>")))
     array = whole[begin : whole.index("</Array_TS>", begin) + len("</Array_TS>")]

@@ -101,11 +101,11 @@ def _raw(data: Part, start: str) -> RawBands | None:
     zero = parse_utc(start, f"{data.path}")
     period = line_period(data, f"{stamp}/PA_LINE_PERIOD", _MILLISECONDS)
     first: dict[str, float] = {}
-    uneven = []
+    doubt, uneven = "", []
     for part in some(data, f"{stamp}/Band_TS_List/Band_TS", 2):
         name = part.text("BAND_ID")
         if name in first:
-            raise part.refused("BAND_ID", f"is {name}, as that of another: its times are given twice")
+            doubt = f"its Band_TS_List holds {name[:40]} twice"
         begun = [_row_1(one, zero, period) for one in some(part, "Array_TS_List/Array_TS", 1)]
         first[name] = sum(begun) / len(begun)
         if max(begun) - min(begun) > _ONE_TIME:
@@ -114,7 +114,8 @@ def _raw(data: Part, start: str) -> RawBands | None:
         raise data.refused(f"{stamp}/Band_TS_List", f"holds no {_PANCHROMATIC}")
     lags = {name: t - first[_PANCHROMATIC] for name, t in sorted(first.items(), key=lambda item: item[1])}
     counted = words(data, f"{stamp}/ORIGIN_REFERENTIAL", _OF_PRODUCT)
-    doubt = f"its arrays see row 1 at unlike times: {', '.join(uneven)}" if uneven else ""
+    if uneven:
+        doubt = f"its arrays see row 1 at unlike times: {', '.join(uneven)}"
     if counted != _OF_PRODUCT:
         doubt = f"its ORIGIN_REFERENTIAL is {counted[:40]}; rows of the product ({_OF_PRODUCT}) are read"
     return RawBands(lags, period, first[_PANCHROMATIC], doubt)
@@ -125,7 +126,7 @@ def _row_1(array: Part, zero: tuple[datetime, float], period: float) -> float:
     t = elapsed(array.text("ORIGIN_TIME"), zero, f"{array.path}: {array.place}/ORIGIN_TIME")
     if not array.has("ORIGIN_FULL_RES_LINE"):
         return t
-    return t - (array.count("ORIGIN_FULL_RES_LINE", 1, MOST_LINES) - 1) * period
+    return t - (array.number("ORIGIN_FULL_RES_LINE") - 1.0) * period
 
 
 def pleiades_orbit(data: Part, start: str) -> Orbit:
