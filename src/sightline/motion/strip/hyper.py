@@ -42,6 +42,10 @@ MOST_TONES = 8
 #: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
 #: lever of the field, rows say nothing of its noise: what is not known of the other passes for it.
 OWN = 0.5
+#: Where it is less than this, rows tell two angles together ten times better than either: what is found of
+#: jitter and tones of one, far below the noise of its rows, is an accident, and of about the size that they
+#: have on the axis that rows tell best.
+LITTLE_OWN = 0.01
 #: Hidden drifts are completed under motions about each axis of at least this share of that which drifts most.
 STILLEST = 1.0 / 3.0
 #: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
@@ -487,15 +491,20 @@ def fit_prior_model(
     if aside and corners[YAW] is not None:
         across = _larger_parts(first[0].as_found, first[PITCH].as_found, length)
 
+    own = _own_share(differences)
+    best = int(np.argmax(own))
+
     def shared(axis: int) -> FittedSpectrum:
         through = () if first[axis].through else [f for one in first for f in one.through]
-        if not missing[axis] and corners[axis] is None and not through:
-            return first[axis]
         usual = across if axis == YAW else None
+        # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
+        if usual is None and own[axis] < LITTLE_OWN:
+            usual = first[best].as_found.scaled(float(pixel[axis] / pixel[best]))
+        elif not missing[axis] and corners[axis] is None and not through:
+            return first[axis]
         return fitted(axis, spectra[axis], missing[axis], corners[axis], through, usual)
 
     roll, pitch, yaw = in_threads(shared, range(3), step=lambda done, _: step(3 + done, 6))
-    own = _own_share(differences)
     scales = [
         one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
         for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
