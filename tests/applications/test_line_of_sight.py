@@ -242,7 +242,7 @@ class TestHiddenDrifts:
     )
     def test_only_drifts_that_free_places_imitate_are_hidden(self, recovery, free, hidden):
         estimate = self.estimate(recovery, free)
-        assert estimate.hidden_drifts() == hidden
+        assert estimate.hidden_drifts == hidden
         directions = estimate.hidden_directions(hidden)
         assert directions.shape[2] == 3 + len(hidden)
         u = np.linspace(-1.0, 1.0, estimate.grid.count)

@@ -551,7 +551,7 @@ def _match(
 def _change(strip: Strip, old: StripState, new: StripState) -> float:
     """Change of the motion between passes in units of its sigma, hidden part left out (worst axis)."""
     t = strip.grid.nodes[4:-4:4]
-    hidden = new.estimate.hidden_directions(new.estimate.hidden_drifts())
+    hidden = new.estimate.hidden_directions(new.estimate.hidden_drifts)
     directions = directions_at(strip.grid, hidden, t)
     moved = angles_at(new.estimate, t) - angles_at(old.estimate, t)
     moved = less_directions(moved, directions, strip.scale)
@@ -580,6 +580,12 @@ def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
     return (*(f"constant of {axis}" for axis in axes), *(f"drift of {axes[k]}{about}" for k in drifts))
 
 
+def _functionals(state: StripState, t: Array, turn: Array, weights: Array) -> Array:
+    """Covariance (K, K) rad^2 of weighted sums (N, 3, K) of the motion at `t`, of what is hidden too."""
+    own = np.einsum("pa,npk->nak", turn, weights)
+    return state.estimate.functional_covariance(t, own) + state.model.unseen_functionals(t, own)
+
+
 def _result(
     strip: Strip,
     state: StripState,
@@ -591,7 +597,7 @@ def _result(
     """The last state as a result at the lines of the first band, gone on to all exposures."""
     estimate, lines = state.estimate, strip.lines()
     t = strip.nominal[0].times(lines.astype(np.float64))
-    turn, drifts = strip.turn, estimate.hidden_drifts()
+    turn, drifts = strip.turn, estimate.hidden_drifts
     on_grid = turned_directions(estimate.hidden_directions(drifts), turn)
     hidden = directions_at(strip.grid, on_grid, t)
     covariance = estimate.relative_covariance(t, hidden, strip.scale, turn)
@@ -630,7 +636,7 @@ def _result(
         band=TimeCovariance(
             strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
         ),
-        functional_covariance=partial(estimate.functional_covariance, t, turn=turn),
+        functional_covariance=partial(_functionals, state, t, turn),
         relief=_relief(strip, state),
         lines=lines,
         warnings=strip_warnings(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.estimation.evidence import EvenRate, rate_weights
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import ROUGHLY, SETTLED, NoiseModel, Search
+from sightline.estimation.search import ROUGHLY, SETTLED, NoiseModel, Search, variance_at
 from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
 
 Array = NDArray[np.float64]
@@ -200,6 +200,7 @@ def fit_spectrum(
         _tdi(scaled),
         detail * unit**2,
         rate,
+        min(s.window_most for s in scaled),
     )
     given = None if start is None else NoiseModel.of(start.scaled(1.0 / unit))
     if given is not None and near:
@@ -230,13 +231,14 @@ def fit_spectrum(
     if usual is not None:
         model = search.with_usual_sizes(model, usual.scaled(1.0 / unit))
     hidden, through = search.hidden_tones(model, elsewhere)
-    sizes = search.sizes_of_tones(model)
+    now = search.posterior(model)
+    sizes = [math.sqrt(variance_at(now, tone.frequency)) for tone in model.tones]
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
     return FittedSpectrum(
         fitted,
         model.noise_scale,
-        search.deviance(model),
+        now.deviance,
         grid.step,
         tuple(model.gains[k] for k in order),
         tuple(sizes[k] * unit for k in order),
@@ -330,8 +332,8 @@ def _within(s: DifferenceSeries, first: float, last: float) -> DifferenceSeries:
     high = np.maximum(s.t, s.t + s.lag) + 0.5 * s.whole
     keep = (low >= first) & (high <= last)
     patch = None if s.patch is None else s.patch[keep]
-    return DifferenceSeries(
-        s.t[keep], s.lag[keep], s.values[keep], s.variance[keep], s.images, s.window, patch, s.tdi
+    return replace(
+        s, t=s.t[keep], lag=s.lag[keep], values=s.values[keep], variance=s.variance[keep], patch=patch
     )
 
 

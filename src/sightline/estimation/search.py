@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,8 @@ NARROWEST = 0.1
 SMOOTHER = 6.0
 #: Steps after which that must show.
 SMOOTHER_STEPS = 6
+#: Lowest frequency of a tone, in units of one over the length of the data.
+SLOWEST = 2.0
 #: Tones nearer to the rate of the differences than this, in units of one over the length of the data, turn by
 #: so few periods against it that offsets of the images, and drifts, take their place.
 NEAR_RATE = 4.0
@@ -63,6 +66,10 @@ CREST = 8
 #: What TDI may hide is looked at up to this over the shortest time that it averages over, at no more places;
 #: least share that the rows are taken to have of it.
 HIDDEN_TO, MOST_HIDDEN, LEAST_LEFT = 4.0, 600, 5e-3
+#: Stages by which the mean over all is taken, and the least sigma of a tone.
+STAGES, TINY = 32, 1e-12
+#: A sigma holds in .683 of all cases: modes that are there more seldom than in the others are not owned.
+SELDOM = 0.317
 #: Modes of less than this share of the usual strength do not count.
 COUNTS = 0.2
 #: The strongest place there is a mode, of which products are made, at this probability of chance.
@@ -92,6 +99,8 @@ SHOWN_BY, SIZES = 4.0, 2.0
 BROADBAND = -1
 #: Steps of the logarithm of the noise's scale by which its best one is found beside a size.
 SCALE_STEP = 0.1
+#: Least and largest scale of the noise.
+NOISE_SCALES = (0.2, 5.0)
 #: Windows overlap where they are longer than so many times what lies between two rows.
 OVERLAPPING = 1.2
 #: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
@@ -171,6 +180,8 @@ class Search:
         Mean square of the (angular) frequencies that matches weigh, per unit squared of the differences.
     rate : EvenRate, optional
         Of the motion, per s; see `posterior`.
+    window_most : float
+        s; over which windows of coarse lines may average, 0 where `window` is what they do.
     """
 
     def __init__(
@@ -185,12 +196,14 @@ class Search:
         tdi: Sequence[float] = (),
         detail: float = 0.0,
         rate: EvenRate | None = None,
+        window_most: float = 0.0,
     ) -> None:
         self._rate = rate
         self._tdi = tuple(tdi)
         self._detail = detail
         self._corner = corner
-        self._highest = min(0.3 / equations.grid.step, SEEN_THROUGH / max(window, 1e-12))
+        self._window, self._coarse = window, window_most
+        self._highest = min(0.3 / equations.grid.step, SEEN_THROUGH / max(window, window_most, 1e-12))
         # windows that overlap: rows follow each other faster than what they can show
         overlap = window * max(rates, default=0.0) > OVERLAPPING
         self._quickest = QUICKEST * window if overlap else 0.0
@@ -262,7 +275,8 @@ class Search:
                 (-farthest, farthest),
                 (math.log(0.02 / length), math.log(widest)),
             ]
-        bounds.append((math.log(0.2), math.log(5.0)) if self._fit_noise else (0.0, 0.0))
+        least, most = NOISE_SCALES
+        bounds.append((math.log(least), math.log(most)) if self._fit_noise else (0.0, 0.0))
         return bounds
 
     def improve(
@@ -412,7 +426,7 @@ class Search:
         now = self.posterior(model)
         u = now.score
         frequency, ratio = self._approximate_gain(now, u)
-        lowest, highest = 2.0 / self._length, self._highest
+        lowest, highest = SLOWEST / self._length, self._highest
         known = [tone.frequency for tone in model.tones]
         usable = (frequency > lowest) & (frequency < highest)
         for f in known:
@@ -612,16 +626,10 @@ class Search:
         low, middle, high = (self.deviance(one) for one in at)
         bend = low - 2.0 * middle + high
         slope = 0.5 * (high - low)
-        best = float(np.clip(-slope / bend, -3.0, 3.0)) if bend > 0.0 else 0.0
+        allowed = np.clip(np.log(np.divide(NOISE_SCALES, model.noise_scale)) / SCALE_STEP, -3.0, 3.0)
+        best = float(np.clip(-slope / bend, *allowed)) if bend > 0.0 else 0.0
         scale = model.noise_scale * math.exp(SCALE_STEP * best)
         return replace(model, noise_scale=scale), middle + slope * best + 0.5 * bend * best**2
-
-    def sizes_of_tones(self, model: NoiseModel) -> list[float]:
-        """Standard deviation of the estimated motion at the frequency of each tone."""
-        if not model.tones:
-            return []
-        now = self.posterior(model)
-        return [math.sqrt(_variance_at(now, tone.frequency)) for tone in model.tones]
 
     def narrow(self, frequency: float) -> float:
         """Bandwidth (Hz) that a tone is taken to have as long as nothing shows it."""
@@ -630,7 +638,9 @@ class Search:
     def hidden_tones(
         self, model: NoiseModel, elsewhere: Sequence[float] = ()
     ) -> tuple[tuple[Tone, ...], tuple[float, ...]]:
-        """What the motion is to be expected to hold where TDI averages it away: wide tones, one a stretch.
+        """What the motion is to be expected to hold where TDI, or coarse lines, average it away: wide tones.
+
+        One for each stretch of frequencies.
 
         With the frequency (Hz) of a mode that certainly shines through, if any; `elsewhere` are those of
         other axes, which this one is as likely to have as not.
@@ -644,23 +654,26 @@ class Search:
         of it, however little, weighs it as in `mean_variance_unseen`: a mode that would stand out is not
         there, one that shines through is. How little is not known well enough to tell its size: `_shown` of
         it is as much the work of other modes. Nothing is read at sums and differences of two or three modes,
-        where their own products are.
+        where their own products are. Windows of coarse lines, whose filter mixes lines by an amount that is
+        not known so well, show the less of what is possible. Where modes are there so SELDOM that a sigma
+        need not hold for them, they do not widen it.
         """
-        shortest = min(self._tdi, default=0.0)
-        if not shortest > 0.0:  # some image has no stages: it shows all
+        shortest = max(min(self._tdi, default=0.0), self._coarse)
+        if not shortest > 0.0:  # some image has no stages, and lines that are fine enough: it shows all
             return (), ()
         cell = 0.5 / self._length
         top = HIDDEN_TO / shortest
         stride = max(math.ceil(top / cell / MOST_HIDDEN), 1)
         f = np.arange(1.0, top, cell * stride)
         left = left_by_tdi(f, self._tdi)
-        hidden = left < LEFT_BY_TDI
+        beyond = f * self._coarse > SEEN_THROUGH
+        hidden = (left < LEFT_BY_TDI) | beyond
         modes = np.array([tone.frequency for tone in model.tones])
         modes = modes[left_by_tdi(modes, self._tdi) >= LEFT_BY_TDI]
         if not hidden.any() or not len(modes):
             return (), ()
         now = self.posterior(model)
-        sizes = np.array([_variance_at(now, m) for m in modes])
+        sizes = np.array([variance_at(now, m) for m in modes])
         strengths = sizes * modes**3
         if not strengths.sum() > 0.0:
             return (), ()
@@ -672,6 +685,7 @@ class Search:
         density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
         gain, information, exact = np.zeros(len(f)), np.zeros(len(f)), f.copy()
         within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes.tolist())
+        within &= f * self._coarse < 1.0
         for part in np.array_split(np.flatnonzero(within), max(int(within.sum()) // CANDIDATES, 1)):
             gain[part], _, information[part] = self._exact_gain(now, now.score, f[part])
         # a sinusoid half a step beside is seen by a fifth less: too much to tell it from an alias
@@ -682,7 +696,7 @@ class Search:
             best = int(np.argmax(gains))
             gain[k], information[k], exact[k] = gains[best], informations[best], near[best]
         modelled = np.maximum(left_by_tdi(exact, self._tdi), LEAST_LEFT)
-        information *= (self._shown(exact, modes, sizes) / modelled) ** 2
+        information *= (self._shown(exact, modes, sizes) / modelled * self._least_shown(exact)) ** 2
         number = density * cell * stride
         # what shows at one frequency shows at its aliases, though a mode there would be smaller and rarer
         plain = strong[left_by_tdi(strong, self._tdi) >= SEEN_PLAINLY]
@@ -695,8 +709,12 @@ class Search:
         gain[mixed] = information[mixed] = 0.0
         for place in elsewhere:
             number[int(np.argmin(np.abs(exact - place)))] = 1.0
-        expected, _ = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
-        return _wide_tones(f, hidden, expected, 1.0 / self._length), through
+        expected, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
+        if np.exp(likely[hidden]).sum() < SELDOM / (1.0 - SELDOM):
+            return (), through
+        tones = _wide_tones(f, hidden, expected, 1.0 / self._length)
+        seen = [Tone(math.sqrt(size), mode, 1.0) for mode, size in zip(modes, sizes, strict=True)]
+        return (*tones, *self._products_of(tones, seen)), through
 
     def without_products(self, model: NoiseModel) -> NoiseModel:
         """The model less tones that are products of a mode that TDI hides and others that it does not.
@@ -740,6 +758,38 @@ class Search:
                 shown = shown - 0.5 * self._detail * size * c * (2.0 * c * np.sinc(f * whole) - beside)
             shares.append(np.abs(shown))
         return np.asarray(np.max(shares, axis=0))
+
+    def _products_of(self, hidden: Sequence[Tone], modes: Sequence[Tone]) -> list[Tone]:
+        """What hidden modes make of others in the motion that is found: tones at sums, differences of three.
+
+        Notes
+        -----
+        Fine detail shows ``detail / 6`` of the third moment of how far stages lie beside their mean; the
+        motion holds that over what is left of a tone where it comes to lie.
+        """
+        out = []
+        for one in hidden:
+            for (a, first), (b, second) in combinations_with_replacement(enumerate(modes), 2):
+                # cosines of amplitudes 2^(1/2) sigma; with two alike there are half as many terms
+                size = (1.0 if a != b else 0.5) * 0.5 * self._detail * first.sigma * second.sigma * one.sigma
+                for signs in product((1.0, -1.0), (1.0, -1.0)):
+                    f = (one.frequency, signs[0] * first.frequency, signs[1] * second.frequency)
+                    place = abs(sum(f))
+                    left = left_by_tdi(np.array([place]), self._tdi)[0]
+                    # of two alike the other signs change the size of the hidden one alone
+                    alike = a == b and signs[0] != signs[1]
+                    if alike or place * self._length < SLOWEST or left < LEFT_BY_TDI:
+                        continue
+                    shown = max(_third_moment(f, whole) / abs(np.sinc(place * whole)) for whole in self._tdi)
+                    out.append(Tone(max(size * shown, TINY), place, min(one.bandwidth, 0.5 * place)))
+        return out
+
+    def _least_shown(self, f: Array) -> Array:
+        """Least share of tones at `f` (Hz) that windows of coarse lines may show, over what is modelled."""
+        if not self._coarse > 0.0:
+            return np.ones(len(f))
+        shown = np.abs(np.sinc(f * self._window))
+        return np.sinc(np.minimum(f * self._coarse, 1.0)) / np.maximum(shown, LEAST_LEFT)
 
     def without_idle_tones(self, model: NoiseModel) -> NoiseModel:
         """The model less every tone that three parameters do not pay for (Akaike)."""
@@ -832,6 +882,13 @@ def left_by_tdi(frequency: Array, tdi: Sequence[float]) -> Array:
     """Largest share of tones at frequencies (Hz) that averages over any of `tdi` (s) leave; 1 without any."""
     shares = [np.abs(np.sinc(frequency * each)) for each in tdi]
     return np.asarray(np.max(shares, axis=0)) if shares else np.ones(len(frequency))
+
+
+def _third_moment(frequencies: Sequence[float], whole: float) -> float:
+    """Size of the mean, over stages of `whole` (s), of the product of three waves each less its own mean."""
+    at = whole * ((np.arange(STAGES) + 0.5) / STAGES - 0.5)
+    waves = np.exp(2j * math.pi * np.outer(frequencies, at))
+    return float(abs((waves - waves.mean(axis=1, keepdims=True)).prod(axis=0).mean()))
 
 
 def gain_of_chance(count: float, false_alarm: float) -> float:
@@ -958,7 +1015,7 @@ def _wide_tones(f: Array, hidden: NDArray[np.bool_], variance: Array, narrow: fl
     return tuple(out)
 
 
-def _variance_at(now: Posterior, frequency: float) -> float:
+def variance_at(now: Posterior, frequency: float) -> float:
     """Variance of the estimated motion at a frequency (Hz)."""
     grid = now.equations.grid
     x = np.diff(now.mean, 2)  # less its drift, which leaks

@@ -50,6 +50,9 @@ class DifferenceSeries:
         s; length over which the matching window averages the motion.
     tdi : (float, float)
         s; over which what is in the window averages the motion by itself, in image a and in image b (TDI).
+    window_most : float
+        s; windows of coarse lines, whose filter mixes neighbouring ones, may average over as much as this; 0:
+        `window` is what they do.
     patch : (N,) of int, optional
         Ground patch of each measurement: equal numbers in two series mean the same piece of ground.
     """
@@ -62,6 +65,7 @@ class DifferenceSeries:
     window: float = 0.0
     patch: Index | None = None
     tdi: tuple[float, float] = (0.0, 0.0)
+    window_most: float = 0.0
 
     def __post_init__(self) -> None:
         shapes = {np.shape(a) for a in (self.t, self.lag, self.values, self.variance)}

@@ -361,3 +361,19 @@ def test_rows_are_in_order_of_time_whichever_windows_of_them_are_there():
     (found,) = angle_differences([star.with_weight(weight)], [star.residual_px], estimate_of(star, still))
     assert (np.diff(found.t) >= 0.0).all() and len(found.t) == 60
     assert (np.diff(found.patch) < 0).any()
+
+
+def test_weighted_sums_own_what_is_hidden_and_so_does_a_single_instant() -> None:
+    # tones of 2 and 1 px in roll: an instant has their variances, its difference to one half a period of the
+    # first later four times that of the first alone, where the other has gone through whole periods
+    tones = (Tone(2.0, 50.0, 1e-6), Tone(1.0, 100.0, 1e-6))
+    model = replace(hyper.BROAD, unseen=(tones, (), ()))
+    t = 0.7 + 1e-3 * np.arange(40)
+    weights = np.zeros((40, 3, 3))
+    weights[5, 0, 0] = 1.0
+    weights[[5, 15], 0, 1] = 1.0, -1.0
+    weights[5, 1, 2] = 1.0
+    found = model.unseen_functionals(t, weights)
+    assert_allclose(np.diag(found), [5.0, 16.0, 0.0], rtol=1e-4)
+    assert_allclose(found[0, 1], 8.0, rtol=1e-4)
+    assert_allclose(model.unseen_variance, [5.0, 0.0, 0.0])

@@ -107,6 +107,7 @@ class AngleDifferences:
             window=self.window + (self.stretch if axis == PITCH else 0.0),
             patch=None if self.patch is None else np.asarray(self.patch, dtype=np.int64),
             tdi=self.tdi,
+            window_most=self.window + self.stretch if self.stretch > 0.0 else 0.0,
         )
 
     def sigma(self) -> Array:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matmul_toeplitz
 
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
@@ -92,6 +93,15 @@ class PriorModel:
     def unseen_variance(self) -> Array:
         """(3,) rad^2 of what TDI averages away."""
         return np.array([sum(tone.sigma**2 for tone in tones) for tones in self.unseen])
+
+    def unseen_functionals(self, t: Array, weights: Array) -> Array:
+        """Covariance (K, K) rad^2 of weighted sums, (N, 3, K), of it at the even instants `t` (s)."""
+        out = np.zeros((weights.shape[2],) * 2)
+        for axis, tones in enumerate(self.unseen):
+            if tones:
+                lags = Spectrum(tones).autocovariance(t - t[0])
+                out += weights[:, axis].T @ matmul_toeplitz(lags, weights[:, axis])
+        return out
 
     def grown(self, correlation: Array) -> Array:
         """Error correlation (2K, 2K) of a star scaled along lines (pitch, yaw) and columns (roll)."""

@@ -225,6 +225,7 @@ class JointEstimate:
         variance = self._factor(constants=False).covariance_band(0)[0].reshape(-1, block)
         return np.sqrt(np.maximum(variance[:, 3:], 0.0))
 
+    @cached_property
     def hidden_drifts(self) -> tuple[int, ...]:
         """Axes (0 roll, 1 pitch, 2 yaw) whose linear drift free static parameters hide from the images.
 
@@ -235,11 +236,6 @@ class JointEstimate:
         parabola of roll that belongs to a drift of yaw, leave some of it to be seen; it is hidden where free
         static parameters take away all of that.
         """
-        return self._hidden_drifts
-
-    @cached_property
-    def _hidden_drifts(self) -> tuple[int, ...]:
-        """What `hidden_drifts` gives."""
         data, count = self._images, self.grid.count
         free = len(self._prior.statics_sigma)
         if not free:
@@ -267,7 +263,7 @@ class JointEstimate:
     def untied_drifts(self) -> tuple[int, ...]:
         """The hidden drifts that neither sensors nor control points see."""
         tied = np.zeros(3, dtype=bool) if self.ties is None else self.ties.tied
-        return tuple(axis for axis in self.hidden_drifts() if not tied[axis])
+        return tuple(axis for axis in self.hidden_drifts if not tied[axis])
 
     def hidden_directions(self, drifts: Sequence[int] = ()) -> Array:
         """Motions that leave every image as it is, (count, 3, H) rad; of unit size at their own axis.

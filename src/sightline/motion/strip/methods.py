@@ -147,7 +147,7 @@ def _covariance(motion: Motion) -> Array:
 def _less_hidden(departure: Array, strip: Strip, state: StripState, t: Array) -> Array:
     """A departure (count, 3) on the nodes, in body axes, less the part that the images cannot see."""
     grid, estimate = strip.grid, state.estimate
-    directions = turned_directions(estimate.hidden_directions(estimate.hidden_drifts()), strip.turn)
+    directions = turned_directions(estimate.hidden_directions(estimate.hidden_drifts), strip.turn)
     shapes = grid.interpolate(directions, t) / strip.scale[:, None]
     values = grid.interpolate(departure, t) / strip.scale
     shapes = shapes.reshape(values.size, -1)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.estimation.prior import Matern
+from sightline.estimation.search import SEEN_THROUGH
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.estimators.differences import YAW
@@ -32,6 +33,9 @@ ENOUGH_KEPT = 0.5
 FEWEST_KEPT, LEAST_SHARE = 10, 0.1
 #: Matches that span less than this share of the field hardly tell yaw.
 ENOUGH_FIELD = 0.3
+
+#: Modes are not unlikely up to so many times the highest frequency of those that are seen.
+NOT_FAR = 1.5
 
 #: px; jitter that one detector line hardly ever has.
 WILD_PX = 5.0
@@ -94,6 +98,26 @@ def _lost_windows(records: Sequence[StarRecord]) -> str:
         f"{STATUS_NAMES[worst]!r} ({numbers[worst]} of {len(ended)}): clouds, water, or cameras that say the "
         "wrong place"
     )
+
+
+def _averaged_away(strip: Strip, state: StripState) -> list[str]:
+    """Bands of lines so long that modes may be hidden in them not far beyond those that are seen.
+
+    None where two bands of the finest lines are matched: these show them.
+    """
+    stars = [record.star for record in state.records if record.star.present.any()]
+    if not stars or any(star.stretch == 0.0 for star in stars):
+        return []
+    highest = max(SEEN_THROUGH / (star.duration + star.stretch) for star in stars)
+    seen = sorted({round(tone.frequency) for one in state.model.spectra for tone in one.tones})
+    if not seen or highest > NOT_FAR * seen[-1]:
+        return []
+    names = [strip.bands[hub].name for hub in sorted({star.hub for star in stars})]
+    return [
+        f"windows in the long lines of {', '.join(names)} average away motion above {highest:.0f} Hz: modes "
+        f"there, which are not unlikely beside those of {', '.join(map(str, seen))} Hz, show in no image, and "
+        "sigma holds of them only what is likely; a pair of bands of shorter lines would show them"
+    ]
 
 
 def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
@@ -260,6 +284,7 @@ def strip_warnings(
             f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "
             "interpolated, its sigma grown"
         )
+    out += _averaged_away(strip, state)
     out += _far_off(strip, state, motion)
     out += _sensor_warnings(strip, state.estimate)
     out += shape_warnings(strip, state)
