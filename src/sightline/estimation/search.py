@@ -776,9 +776,12 @@ class Search:
                     f = (one.frequency, signs[0] * first.frequency, signs[1] * second.frequency)
                     place = abs(sum(f))
                     left = left_by_tdi(np.array([place]), self._tdi)[0]
+                    apart = min(abs(place - mode.frequency) for mode in modes)
                     # of two alike the other signs change the size of the hidden one alone
                     alike = a == b and signs[0] != signs[1]
-                    if alike or place * self._length < SLOWEST or left < LEFT_BY_TDI:
+                    # of what hardly shows, and is like no mode, the motion that is found has nothing
+                    faint = left < (LEFT_BY_TDI if apart < NEAR_RATE / self._length else SEEN_PLAINLY)
+                    if alike or faint or place * self._length < SLOWEST:
                         continue
                     shown = max(_third_moment(f, whole) / abs(np.sinc(place * whole)) for whole in self._tdi)
                     out.append(Tone(max(size * shown, TINY), place, min(one.bandwidth, 0.5 * place)))

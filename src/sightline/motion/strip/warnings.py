@@ -115,7 +115,7 @@ def _averaged_away(strip: Strip, state: StripState) -> list[str]:
     names = [strip.bands[hub].name for hub in sorted({star.hub for star in stars})]
     return [
         f"windows in the long lines of {', '.join(names)} average away motion above {highest:.0f} Hz: modes "
-        f"there, which are not unlikely beside those of {', '.join(map(str, seen))} Hz, show in no image, and "
+        f"there, not unlikely beside those of {', '.join(map(str, seen))} Hz, show in no image, and "
         "sigma holds of them only what is likely; a pair of bands of shorter lines would show them"
     ]
 
