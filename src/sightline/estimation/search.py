@@ -710,7 +710,8 @@ class Search:
         for place in elsewhere:
             number[int(np.argmin(np.abs(exact - place)))] = 1.0
         expected, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
-        if np.exp(likely[hidden]).sum() < SELDOM / (1.0 - SELDOM):
+        odds = max(number[hidden].sum(), np.exp(likely[hidden]).sum())
+        if odds < SELDOM / (1.0 - SELDOM):
             return (), through
         tones = _wide_tones(f, hidden, expected, 1.0 / self._length)
         seen = [Tone(math.sqrt(size), mode, 1.0) for mode, size in zip(modes, sizes, strict=True)]
@@ -783,7 +784,9 @@ class Search:
                     faint = left < (LEFT_BY_TDI if apart < NEAR_RATE / self._length else SEEN_PLAINLY)
                     if alike or faint or place * self._length < SLOWEST:
                         continue
-                    shown = max(_third_moment(f, whole) / abs(np.sinc(place * whole)) for whole in self._tdi)
+                    # the stages that leave most of it say what is found there
+                    whole = max(self._tdi, key=lambda each, at=place: abs(np.sinc(at * each)))  # type: ignore[misc]
+                    shown = _third_moment(f, whole) / abs(np.sinc(place * whole))
                     out.append(Tone(max(size * shown, TINY), place, min(one.bandwidth, 0.5 * place)))
         return out
 
