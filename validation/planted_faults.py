@@ -87,6 +87,7 @@ EQUIVALENT = {
     "loose = 2.5 * plan.pointing_error * partner.detector.focal_length_px / k": "a margin of a search",
     "key = (end + begin, share, columns.tobytes())": "as different where columns are, or their number, is",
     "peak[k, axis] += np.clip(0.625 * (low - high) / bend, -0.5, 0.5)": "a start of steps",
+    "i, j0, j1 = top - 3 + r, left - 3, left - 4 + count": "the end of a slice, which compiled code ignores",
 }
 
 

@@ -67,6 +67,8 @@ def njit(*, cache: bool = True, **options: Any) -> Callable[[Callable[..., Any]]
     if options.get("fastmath"):
         options.setdefault("forceinline", True)
 
+    options.setdefault("no_cfunc_wrapper", True)  # a second way in, for C, that nothing here uses
+
     def compiled(function: Callable[..., Any]) -> Any:
         kernel = numba.njit(**options)(function)
         if cache and hasattr(kernel, "enable_caching"):  # a plain function under NUMBA_DISABLE_JIT

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage, signal
 
+from sightline.compiled import only_read
 from sightline.imaging.resample import delay_weights, kernel_table
 from sightline.matching import kernels
 from sightline.matching.correlate import correlation_surface
@@ -25,7 +26,7 @@ def test_the_filter_is_a_convolution_with_the_unfolded_quadrant():
     rng = np.random.default_rng(0)
     image, taps = rng.normal(size=(25, 40)).astype(np.float32), rng.normal(size=(7, 7)).astype(np.float32)
     out = np.empty_like(image)
-    kernels.filter_image(image, taps, out)
+    kernels.filter_image(image, *only_read(taps), out)
     expected = signal.convolve2d(image, full_taps(taps), mode="same")
     assert np.abs(out - expected)[6:-6, 6:-6].max() < 1e-4 * np.abs(expected).max()
     assert not out[:6].any() and not out[:, -6:].any()
@@ -180,7 +181,7 @@ def test_window_curvature_is_the_sum_of_gradient_products():
     rng = np.random.default_rng(2)
     image = rng.normal(size=(20, 30)).astype(np.float32)
     out = np.empty((1, 3))
-    kernels.window_curvature(image, np.array([[3, 4]]), (8, 12), out)
+    kernels.window_curvature(*only_read(image), np.array([[3, 4]]), (8, 12), out)
     gy, gx = (g[3:11, 4:16] for g in np.gradient(image.astype(float)))
     assert np.allclose(out[0], [(gy * gy).sum(), (gy * gx).sum(), (gx * gx).sum()], rtol=1e-4)
 

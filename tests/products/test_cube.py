@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from sightline.compiled import only_read
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic
 from sightline.imaging.source import ArrayImage
@@ -288,26 +289,16 @@ def test_a_rolling_shutter_sees_a_place_by_the_pose_of_its_own_line():
         return seen[0] - line, seen
 
     pixels = np.empty((20, 2))
-    see_places(
-        world,
-        np.arange(20, dtype=np.int32),
-        matrices,
-        positions,
-        lens,
-        np.zeros(5),
-        10.0,
-        (lines, 300),
-        pixels,
-    )
+    read = only_read(world, matrices, positions, lens, np.zeros(5))
+    places = np.arange(20, dtype=np.int32)
+    see_places(read[0], places, *read[1:], 10.0, (lines, 300), pixels)
     for point, found in zip(world, pixels, strict=True):
         line = brentq(lambda x, point=point: miss(x, point)[0], -200.0, 400.0)
         assert found == pytest.approx(miss(line, point)[1], abs=0.01)
     # and it matters: by the pose of the middle line alone they would lie pixels away
     still = np.empty((20, 2))
-    see_places(
-        world, np.arange(20, dtype=np.int32), matrices[1:2], positions[1:2], lens, np.zeros(5), 10.0,
-        (lines, 300), still,
-    )  # fmt: skip
+    middle = only_read(matrices[1:2], positions[1:2], lens, np.zeros(5))
+    see_places(read[0], places, *middle, 10.0, (lines, 300), still)
     assert np.abs(still - pixels).max() > 2.0
 
 

@@ -277,6 +277,10 @@ for (const mark of document.querySelectorAll("svg.drawn [data-n], svg.drawn [dat
 """
 
 
+#: Is there once the page is laid out at its new size and drawn.
+DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
+
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_names_are_shown_and_do_nothing(case, tmp_path, command, request):
     before = {entry.name for entry in tmp_path.iterdir()}
@@ -293,7 +297,7 @@ def check_opened(page, problems):
     """No script of a name runs, no width breaks the layout, no label of a point is markup."""
     for width in (400, 900, 1600):
         page.set_viewport_size({"width": width, "height": 900})
-        page.wait_for_timeout(100)
+        page.evaluate(DRAWN)
         assert page.evaluate("document.documentElement.scrollWidth") <= width
     for _ in range(2):  # maps are read once their pictures are there
         page.evaluate(HOVER)

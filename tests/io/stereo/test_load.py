@@ -191,14 +191,14 @@ def test_local_axes_about_an_origin_give_the_same_geometry(tmp_path):
     assert load_stereo(made.write(tmp_path / "flat")).radii is None
 
 
-def test_three_hundred_thousand_matches_load_in_seconds(tmp_path):
-    made = scene(shots=1024, points=300, window=60.0)
+def test_a_hundred_thousand_matches_load_in_a_second(tmp_path):
+    made = scene(shots=1024, points=50, window=60.0)
     path = made.write(tmp_path)
     begun = time.process_time()
     problem = load_stereo(path)
-    assert len(problem.tracks) == 2 * 1024 * 300
+    assert len(problem.tracks) == 2 * 1024 * 50
     # no test of speed: reading row by row in Python takes some ten times as long
-    assert time.process_time() - begun < 30.0
+    assert time.process_time() - begun < 5.0
 
 
 # --- what a user may get wrong: each spoils a good scene; the message says what to do -----------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sightline.imaging.source import ArrayImage
-from sightline.photogrammetry.flight.wide_links import _sharpness, fit_affine
+from sightline.photogrammetry.flight.wide_links import _sharpness, fit_affine, fit_similarity
 
 
 def test_an_affine_map_is_that_of_most_of_the_points():
@@ -28,3 +28,12 @@ def test_white_noise_is_eight_times_as_sharp_as_its_means_of_eight_pixels():
     # a pixel less half of two others: sqrt(1.5) of the noise; 4000 means of eight by eight tell theirs to 2 %
     assert abs(contrast / (np.sqrt(1.5) * 20.0 / 500.0) - 1.0) < 0.01
     assert abs(sharpness / 8.0 - 1.0) < 0.08
+
+
+def test_a_similarity_is_found_whatever_its_turn():
+    points, middle = np.random.default_rng(4).uniform(0.0, 400.0, (30, 2)), np.array([200.0, 150.0])
+    turn, growth = 2.5, 1.3
+    c, s = growth * np.cos(turn), growth * np.sin(turn)
+    line, column = (points - middle).T
+    moved = middle + np.array([7.0, -4.0]) + np.column_stack([c * line - s * column, s * line + c * column])
+    assert np.allclose(fit_similarity(points, moved, middle), [7.0, -4.0, turn, growth - 1.0])

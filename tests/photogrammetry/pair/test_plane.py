@@ -23,7 +23,7 @@ from sightline.errors import InputError
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.pairs import PairOrientation, SightingPairs, pair_sightings
 from sightline.photogrammetry.pair.plane import _rows, _seen_apart, common_aim, orient_by_plane
-from sightline.photogrammetry.pair.relief import correlation_length, relief_spread
+from sightline.photogrammetry.pair.relief import _in_cells, correlation_length, relief_spread
 
 SHORT = Plan(shots=16)
 AIM, UP = np.zeros(3), np.array([0.0, 0.0, 1.0])
@@ -234,3 +234,12 @@ def test_what_relief_moves_in_the_second_camera_is_reported_in_pixels():
     # the plane fitted differs from that of the points by some metres
     assert np.corrcoef(found.residual_px, expected)[0, 1] > 0.995
     assert found.residual_px.std() == pytest.approx(expected.std(), rel=0.03)
+
+
+def test_influences_are_summed_in_the_cell_where_their_points_lie():
+    place = np.array([[0.0, 0.0], [1.0, 2.0], [900.0, 300.0], [10.0, 500.0]])
+    middles, sums, size = _in_cells(place, np.array([[1.0], [2.0], [4.0], [8.0]]))
+    assert sorted(sums[:, 0]) == [3.0, 4.0, 8.0]
+    for total, first in ((3.0, place[0]), (4.0, place[2]), (8.0, place[3])):
+        (middle,) = middles[sums[:, 0] == total]
+        assert np.abs(middle - first).max() <= 0.5 * size
