@@ -87,6 +87,7 @@ EQUIVALENT = {
     "loose = 2.5 * plan.pointing_error * partner.detector.focal_length_px / k": "a margin of a search",
     "key = (end + begin, share, columns.tobytes())": "as different where columns are, or their number, is",
     "peak[k, axis] += np.clip(0.625 * (low - high) / bend, -0.5, 0.5)": "a start of steps",
+    "stars_from_body = Rotation.from_rotvec(np.outer(t - t[1], rate)) * reference": "one turn before all",
     "i, j0, j1 = top - 3 + r, left - 3, left - 4 + count": "the end of a slice, which compiled code ignores",
 }
 
@@ -190,6 +191,8 @@ class Formulas(ast.NodeVisitor):
             terms = self.source[first:last]
             for term in list(re.finditer(r"[a-z](?=[a-z]\b)", terms))[:-1]:
                 pair = terms[term.start() : term.start() + 2]
+                if pair == pair[::-1]:
+                    continue
                 at = first + term.start()
                 self.put("transposition", self.line_of(at), at, at + 2, pair[::-1])
         self.generic_visit(node)

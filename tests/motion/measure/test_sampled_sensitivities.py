@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from motion.strips import ALTITUDE, IFOV, PERIOD, given_bands, moved_by_turn, sampled_motion, strip_cameras
 from sightline.geometry.surface import Plane
 from sightline.motion.band import Band
-from sightline.motion.measure.sampled_sensitivities import sampled_sensitivities
+from sightline.motion.measure.sampled_sensitivities import _averaged, sampled_sensitivities
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import band_statics
 
@@ -86,3 +86,10 @@ def test_a_partner_that_sees_nothing_has_no_sensitivity():
         cameras, 0, 1, Plane(), GRID, np.zeros(len(GRID.centres), bool), [], GRID.centres
     )
     assert got.shape == (len(GRID.centres), 2, 7) and not got.any()
+
+
+def test_a_window_over_the_border_has_the_mean_of_what_lies_inside():
+    profile = np.array([3.0, 3.0, 3.0, 3.0, 9.0])
+    # the first covers the left half of column 0, the last the half of column 3 and all of column 4
+    columns = np.array([-2.0, 0.0, 1.0, 5.0])
+    assert_allclose(_averaged(profile, columns, 4.0), [3.0, 3.0, 3.0, (0.5 * 3.0 + 9.0) / 1.5])
