@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -134,6 +136,18 @@ def test_the_pattern_of_a_mosaic_is_not_taken_for_ground():
     assert len(apart) > 50 and np.sqrt((apart**2).mean()) < np.sqrt((stated**2).mean()) < 0.4
     # of cells that counted for as much as they are bright the means would lie 0.27 px apart
     assert np.abs(np.median(apart, axis=0)).max() < 0.05
+
+
+def test_lines_that_tables_turn_apart_are_linked_all_the_same(linked):
+    # a constant that nothing states: the second line 12 px from where the poses, good to 2 px, have it
+    images = flight()
+    off = np.where(GROUP[:, None] == 1, 12.0 * HEIGHT / FOCAL * np.array([0.6, -0.8, 0.0]), 0.0)
+    wrong = replace(images, position=images.position + off)
+    plan = CrossPlan(0.5, 1.0 / FOCAL)
+    found = link_stretches(pictures(images), wrong, detector(), NADIR_MOUNT, Plane(0.0), GROUP, plan)
+    assert found is not None and len(found) > 0.5 * len(linked)
+    apart, stated = apart_px(found)
+    assert np.sqrt((apart**2).mean()) < np.sqrt((stated**2).mean()) < 0.4
 
 
 def test_grounds_that_differ_are_not_linked():

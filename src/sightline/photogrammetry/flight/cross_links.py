@@ -9,6 +9,7 @@ sides (``photogrammetry/match_frames.py``).
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -197,20 +198,51 @@ def link_stretches(
     plan : CrossPlan
     progress : callable, optional
         Called with the number of pairs compared and of all.
+
+    Notes
+    -----
+    Where most pairs of two stretches are not found alike within what is known of the poses, these pairs are
+    searched once more as far as is ever searched: tables may have constant errors that nothing states, and turn
+    lines that are flown to and fro apart.
     """
     found: list[Tracks] = []
     names = 0
-    pairs = cross_pairs(images, detector, mount, surface, group, plan.partners)
-    for number, (i, j, lines) in enumerate(pairs):
-        if progress is not None:
-            progress(number, len(pairs))
-        cameras = frame_cameras(images[np.array([i, j])], [detector], [mount])
-        two = _match_pair((sources[i], sources[j]), cameras, surface, lines, plan)
-        if two is not None:
+    farther = replace(plan, pointing_error=_LONGEST_SEARCH * plan.reduction / (2.0 * detector.focal_length_px))
+    to_do = cross_pairs(images, detector, mount, surface, group, plan.partners)
+    done, total = 0, len(to_do)
+    for each in (plan, farther):
+        untied = []
+        for i, j, lines in to_do:
+            if progress is not None:
+                progress(done, total)
+            done += 1
+            cameras = frame_cameras(images[np.array([i, j])], [detector], [mount])
+            two = _match_pair((sources[i], sources[j]), cameras, surface, lines, each)
+            if two is None:
+                untied.append((i, j, lines))
+                continue
             image = np.array([i, j])[two.image]
             found.append(replace(two, image=image, point=names + two.point))
             names += len(two) // 2
+        if plan.pointing_error >= farther.pointing_error:
+            break
+        to_do = _mostly(untied, to_do, group)
+        total += len(to_do)
     return joined(found) if found else None
+
+
+def _mostly(
+    some: list[tuple[int, int, NDArray[np.bool_]]],
+    of: list[tuple[int, int, NDArray[np.bool_]]],
+    group: NDArray[np.intp],
+) -> list[tuple[int, int, NDArray[np.bool_]]]:
+    """Those pairs of frames whose stretches have more than half of theirs among them."""
+
+    def stretches(pair: tuple[int, int, NDArray[np.bool_]]) -> tuple[int, int]:
+        return int(group[pair[0]]), int(group[pair[1]])
+
+    count, every = Counter(map(stretches, some)), Counter(map(stretches, of))
+    return [pair for pair in some if 2 * count[stretches(pair)] > every[stretches(pair)]]
 
 
 def _match_pair(
