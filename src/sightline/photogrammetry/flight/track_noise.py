@@ -215,6 +215,9 @@ def with_scatter(tracks: Tracks, residual_px: Array, freedom: Array, used: NDArr
     less the share that the poses took by following them, f and g are those of the largest likelihood: of the
     sum over n log(f + g v) + q / (f + g v) the least. Windows that err like their neighbours count for fewer
     than they are.
+
+    Sightings that were left out are not made up for. They lie beyond a chi-square of 2 log(20 N), by which N good
+    ones lose log(20 N) / (20 N) of their variance: 4e-3 of 100 of them, 5e-4 of 1,000.
     """
     square = (residual_px[used] ** 2).sum(axis=1)
     free = np.maximum(freedom[used], 0.0)
