@@ -17,9 +17,9 @@ from sightline.geometry.checks import Array, frozen
 from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Sightings
 
-#: Sigmas by which a control point may lie off the others, the mean over its coordinates: a chi-square of 48 for
-#: three numbers, 2e-10 by chance, so that of any number of right ones none weighs less. Weight below which one
-#: is named: 4 sigmas times the fourth root of 2, 4.8, as one at the very limit says nearly what it did.
+#: Sigmas by which a control point may lie off the others, the mean over its coordinates: a chi-square of 48
+#: for three numbers, 2e-10 by chance, so that of any number of right ones none weighs less. Weight below
+#: which one is named: 4 sigmas times the fourth root of 2, 4.8, as one at the limit says nearly what it did.
 _CUT, _DOUBTED = 4.0, 0.5
 #: Times that weights are found, first beside what the most of the control points are off; when they stay.
 _WEIGHINGS, _STAY = 4, 0.05

@@ -202,12 +202,14 @@ def link_stretches(
     Notes
     -----
     Where most pairs of two stretches are not found alike within what is known of the poses, these pairs are
-    searched once more as far as is ever searched: tables may have constant errors that nothing states, and turn
-    lines that are flown to and fro apart.
+    searched once more as far as is ever searched: tables may have constant errors that nothing states, and
+    turn lines that are flown to and fro apart.
     """
     found: list[Tracks] = []
     names = 0
-    farther = replace(plan, pointing_error=_LONGEST_SEARCH * plan.reduction / (2.0 * detector.focal_length_px))
+    farther = replace(
+        plan, pointing_error=_LONGEST_SEARCH * plan.reduction / (2.0 * detector.focal_length_px)
+    )
     to_do = cross_pairs(images, detector, mount, surface, group, plan.partners)
     done, total = 0, len(to_do)
     for each in (plan, farther):

@@ -19,8 +19,8 @@ UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
 _PAUSE = 10.0
 #: Bends end to end that show how rough a path is over a step.
 _LEAST_BENDS = 4
-#: Share of them that counts where two or fewer show it (three or four frames). One over a chi-square of one or
-#: two has no mean: the variance is taken as ten times the mean square (three bends: three times), which it
+#: Share of them that counts where two or fewer show it (three or four frames). One over a chi-square of one
+#: or two has no mean: the variance is taken as ten times the mean square (three bends: three times), which it
 #: exceeds in a quarter of cases of one bend and a tenth of two; tables say more of so few than smoothness.
 _LEAST_COUNT = 0.1
 

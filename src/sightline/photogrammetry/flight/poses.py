@@ -56,13 +56,13 @@ from sightline.photogrammetry.sightings import Images, Sightings, as_index
 
 #: Roughness (unit^2 / s^3 in `UNITS`) with which the first solution starts: hardly any smoothness.
 _LOOSE_ROUGHNESS = 1e8
-#: Rounds in which the roughness of the path is measured anew; frames up to which it is measured once: 28 bends
-#: give a variance to sqrt(2 / 28), a quarter of it. Of fewer it is chance to a good part, which another round
-#: on the path that it smoothed would carry on.
+#: Rounds in which the roughness of the path is measured anew; frames up to which it is measured once: 28
+#: bends give a variance to sqrt(2 / 28), a quarter of it. Of fewer it is chance to a good part, which another
+#: round on the path that it smoothed would carry on.
 _ROUNDS, _FEW = 2, 30
-#: Sigmas of a bend of the path from which on it is a turn: 2e-9 by chance, so once in 1e8 frames. A turn taken
-#: for none bends the whole flight (a chi-square of a thousand); a bend taken for one, as sway is not quite
-#: Gaussian, loses what smoothness says of one frame.
+#: Sigmas of a bend of the path from which on it is a turn: 2e-9 by chance, so once in 1e8 frames. A turn
+#: taken for none bends the whole flight (a chi-square of a thousand); a bend taken for one, as sway is not
+#: quite Gaussian, loses what smoothness says of one frame.
 _TURN = 6.0
 #: Steps end when the next would lower the cost by less (chi-square units): a hundredth of a sigma.
 _CONVERGED = 1e-4

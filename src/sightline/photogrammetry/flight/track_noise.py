@@ -216,8 +216,8 @@ def with_scatter(tracks: Tracks, residual_px: Array, freedom: Array, used: NDArr
     sum over n log(f + g v) + q / (f + g v) the least. Windows that err like their neighbours count for fewer
     than they are.
 
-    Sightings that were left out are not made up for. They lie beyond a chi-square of 2 log(20 N), by which N good
-    ones lose log(20 N) / (20 N) of their variance: 4e-3 of 100 of them, 5e-4 of 1,000.
+    Sightings that were left out are not made up for. They lie beyond a chi-square of 2 log(20 N), by which N
+    good ones lose log(20 N) / (20 N) of their variance: 4e-3 of 100 of them, 5e-4 of 1,000.
     """
     square = (residual_px[used] ** 2).sum(axis=1)
     free = np.maximum(freedom[used], 0.0)
