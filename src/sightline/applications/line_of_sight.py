@@ -51,6 +51,7 @@ from sightline.motion.strip.estimate import (
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hyper import KnownContent, PriorModel, fit_prior_model
 from sightline.motion.strip.joint import (
+    JointEstimate,
     angles_at,
     directions_at,
     less_directions,
@@ -580,10 +581,10 @@ def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
     return (*(f"constant of {axis}" for axis in axes), *(f"drift of {axes[k]}{about}" for k in drifts))
 
 
-def _functionals(state: StripState, t: Array, turn: Array, weights: Array) -> Array:
+def _functionals(estimate: JointEstimate, model: PriorModel, t: Array, turn: Array, weights: Array) -> Array:
     """Covariance (K, K) rad^2 of weighted sums (N, 3, K) of the motion at `t`, of what is hidden too."""
     own = np.einsum("pa,npk->nak", turn, weights)
-    return state.estimate.functional_covariance(t, own) + state.model.unseen_functionals(t, own)
+    return estimate.functional_covariance(t, own) + model.unseen_functionals(t, own)
 
 
 def _result(
@@ -636,7 +637,7 @@ def _result(
         band=TimeCovariance(
             strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
         ),
-        functional_covariance=partial(_functionals, state, t, turn),
+        functional_covariance=partial(_functionals, estimate, state.model, t, turn),
         relief=_relief(strip, state),
         lines=lines,
         warnings=strip_warnings(

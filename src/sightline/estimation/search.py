@@ -66,8 +66,8 @@ CREST = 8
 #: What TDI may hide is looked at up to this over the shortest time that it averages over, at no more places;
 #: least share that the rows are taken to have of it.
 HIDDEN_TO, MOST_HIDDEN, LEAST_LEFT = 4.0, 600, 5e-3
-#: Stages by which the mean over all is taken, and the least sigma of a tone.
-STAGES, TINY = 32, 1e-12
+#: Stages by which the mean over all is taken.
+STAGES = 32
 #: A sigma holds in .683 of all cases: modes that are there more seldom than in the others are not owned.
 SELDOM = 0.317
 #: Modes of less than this share of the usual strength do not count.
@@ -786,8 +786,9 @@ class Search:
                         continue
                     # the stages that leave most of it say what is found there
                     whole = max(self._tdi, key=lambda each, at=place: abs(np.sinc(at * each)))  # type: ignore[misc]
-                    shown = _third_moment(f, whole) / abs(np.sinc(place * whole))
-                    out.append(Tone(max(size * shown, TINY), place, min(one.bandwidth, 0.5 * place)))
+                    made = size * _third_moment(f, whole) / abs(np.sinc(place * whole))
+                    if made > 0.0:
+                        out.append(Tone(made, place, min(one.bandwidth, 0.5 * place)))
         return out
 
     def _least_shown(self, f: Array) -> Array:
