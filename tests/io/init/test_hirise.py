@@ -175,10 +175,35 @@ def test_a_mirrored_channel_is_found_and_turned(observation, tmp_path, capsys):
         ([("RED4", 1, {}), ("RED4", 0, {"MRO:TDI": "32"}), ("RED5", 1, {})], "differ in stages (64 and 32)"),
         ([("RED4", 1, {"MRO:CPMM_NUMBER": "14"}), ("RED5", 1, {})], "electronics 14"),
         ([("RED4", 1, {"SPACECRAFT_CLOCK_START_COUNT": '"now"'}), ("RED5", 1, {})], "seconds:ticks are read"),
+        (
+            [("RED4", 1, {"SPACECRAFT_CLOCK_START_COUNT": '"848201291:65536"'}), ("RED5", 1, {})],
+            "ticks below 65536",
+        ),
+        ([("RED4", 1, {"START_TIME": "2006-13-17T03:27:53.118"}), ("RED5", 1, {})], "START_TIME"),
+        (
+            [("RED4", 1, {"SPACECRAFT_CLOCK_START_COUNT": '"848202291:32768"'}), ("RED5", 1, {})],
+            "1000 s after",
+        ),
     ],
 )
 def test_sets_that_do_not_go_together_are_refused(files, said, tmp_path, capsys):
     paths = [edr(tmp_path, ccd, channel, scene(3, WIDTH), **changes) for ccd, channel, changes in files]
+    assert run(["init", *map(str, paths), "--out", str(tmp_path / "acq")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "acq").exists()
+
+
+@pytest.mark.parametrize(
+    ("codes", "said"),
+    [
+        (np.full((LINES, WIDTH), 255, np.uint8), "BG12 holds no value (clipped codes, gaps)"),
+        (np.full((LINES, WIDTH), 77, np.uint8), "BG12 holds the same value (774) everywhere"),
+        (scene(3, WIDTH)[:7], "BG12 has 7 lines; 8 or more"),
+        (scene(3, 100), "has 100 columns, not the "),
+    ],
+)
+def test_a_ccd_that_holds_nothing_is_refused(codes, said, tmp_path, capsys):
+    paths = [edr(tmp_path, "RED4", 1, scene(3, WIDTH)), edr(tmp_path, "BG12", 1, codes)]
     assert run(["init", *map(str, paths), "--out", str(tmp_path / "acq")]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "acq").exists()

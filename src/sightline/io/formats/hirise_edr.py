@@ -26,6 +26,7 @@ from sightline.access import LARGE, check_file, read_bytes
 from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.imaging.noise_estimation import CodeTable
 from sightline.imaging.strip_noise import StripPixels
+from sightline.io.formats.instants import parse_utc
 
 Codes = NDArray[np.unsignedinteger[Any]]
 
@@ -37,6 +38,8 @@ IDENTITY, BUFFER, DARK = 6, 12, 16
 SYNCHRONISATION = 0b1111111100000000111
 #: Ticks of the spacecraft's clock in a second.
 TICKS = 65536
+#: TDI stages and lines binned into one, at most.
+MOST_STAGES, MOST_BINNING = 128, 16
 #: Calibration lines that are read with the charge clocked backwards, and rows of the mask (unbinned).
 REVERSE_LINES, MASK_ROWS = 20, 20
 #: Codes of 8 bits that are no value: low saturation, high saturation, gap.
@@ -185,27 +188,33 @@ def read_hirise_setting(path: Path) -> HiriseSetting:
         label = _Label(path, stream.read(LABEL_BYTES).decode("latin-1"))
     binning, stages = _counts(label)
     text = label.text_of("SPACECRAFT_CLOCK_START_COUNT")
-    count = re.fullmatch(r"(?:\d+/)?(\d+)[:.](\d+)", text)
-    if count is None:
-        raise label.refused(f"SPACECRAFT_CLOCK_START_COUNT is {text[:40]!r}; seconds:ticks are read")
+    count = re.fullmatch(r"(?:\d+/)?(\d{1,10})[:.](\d{1,5})", text)
+    if count is None or int(count[2]) >= TICKS:
+        raise label.refused(
+            f"SPACECRAFT_CLOCK_START_COUNT is {text[:40]!r}; seconds:ticks are read, ticks below {TICKS}"
+        )
+    start = label.text_of("START_TIME")
+    parse_utc(f"{start}Z", f"{path}: START_TIME")
     return HiriseSetting(
         label.text_of("OBSERVATION_ID"),
         label.integer("MRO:CPMM_NUMBER"),
         label.integer("MRO:CHANNEL_NUMBER"),
         stages,
         binning,
-        label.number("MRO:SCAN_EXPOSURE_DURATION") * 1e-6,
+        label.period("MRO:SCAN_EXPOSURE_DURATION"),
         int(count[1]) * TICKS + int(count[2]),
         text,
-        label.text_of("START_TIME"),
+        start,
     )
 
 
 def _counts(label: _Label) -> tuple[int, int]:
     """Binning and TDI stages."""
     binning, stages = label.integer("MRO:BINNING"), label.integer("MRO:TDI")
-    if binning < 1 or stages < 1:
-        raise label.refused(f"TDI {stages} and binning {binning} are no counts")
+    if not (1 <= binning <= MOST_BINNING and 1 <= stages <= MOST_STAGES):
+        raise label.refused(
+            f"MRO:TDI is {stages}, MRO:BINNING {binning}; 1 to {MOST_STAGES} and 1 to {MOST_BINNING} are read"
+        )
     return binning, stages
 
 
@@ -236,7 +245,7 @@ def read_hirise_edr(path: Path) -> HiriseEdr:
         )
     table, meaning = _table(label, content, bits["IMAGE"])
     binning, stages = _counts(label)
-    period = label.number("MRO:LINE_EXPOSURE_DURATION") * 1e-6
+    period = label.period("MRO:LINE_EXPOSURE_DURATION")
     return HiriseEdr(
         label.text_of("PRODUCT_ID"),
         stages,
@@ -277,9 +286,19 @@ class _Label:
     def number(self, key: str, where: str | None = None) -> float:
         text = self.text_of(key, where)
         try:
-            return float(text.split("<")[0])
+            value = float(text.split("<")[0])
         except ValueError:
-            raise self.refused(f"{key} is {text!r}, no number") from None
+            value = np.nan
+        if not np.isfinite(value):
+            raise self.refused(f"{key} is {text!r}, no finite number")
+        return value
+
+    def period(self, key: str) -> float:
+        """s between lines, of a label's us."""
+        value = self.number(key)
+        if not 1.0 <= value <= 1e7:
+            raise self.refused(f"{key} is {value:g} us; line scanners take 1 us to 10 s a line")
+        return value * 1e-6
 
     def integer(self, key: str, where: str | None = None) -> int:
         return int(self.number(key, where))

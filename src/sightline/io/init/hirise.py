@@ -58,6 +58,8 @@ _PITCH, _CHANNEL, _CENTRE = 0.012, 1024, (1024.5, 64.0)
 _ALTITUDE = 300e3
 #: Columns in common from which on windows need not be narrowed; narrowest windows that are matched.
 _WIDE, _LEAST_WINDOW = 150.0, 16
+#: Lines of a CCD at least, and s within which CCDs of one observation begin.
+_LEAST_LINES, _BEGIN = 8, 60.0
 #: Share of clipped pixels from which on a whole column is masked.
 _CLIPPED = 0.01
 #: By how much neighbours across the middle of a CCD correlate better with a channel mirrored, to say it is.
@@ -225,7 +227,20 @@ def _ccds(paths: Sequence[Path]) -> list[_Ccd]:
     ]
     for ccd in ccds:
         _check_channels(ccd)
+    _check_begin(ccds)
     return ccds
+
+
+def _check_begin(ccds: Sequence[_Ccd]) -> None:
+    """InputError unless CCDs begin within seconds of one another."""
+    first, last = (of(ccds, key=lambda ccd: ccd.set.clock) for of in (min, max))
+    apart = (last.set.clock - first.set.clock) / TICKS
+    if apart > _BEGIN:
+        (a, _), (b, _) = (next(iter(ccd.channels.values())) for ccd in (first, last))
+        raise InputError(
+            f"{b} begins {apart:.4g} s after {a} by SPACECRAFT_CLOCK_START_COUNT; CCDs of one observation "
+            f"begin within {_BEGIN:g} s: are the labels whole?"
+        )
 
 
 def _check_channels(ccd: _Ccd) -> None:
@@ -268,16 +283,17 @@ class _Joined:
         lines = min(len(values) for values, _ in halves.values())
         said = []
         wide = {values.shape[1] for values, _ in halves.values()}
-        due = _CHANNEL // ccd.set.binning
+        due, path = _CHANNEL // ccd.set.binning, next(iter(ccd.channels.values()))[0]
         if wide != {due}:
-            path = next(iter(ccd.channels.values()))[0]
             raise InputError(
-                f"{path}: has {wide} columns, not the {due} of a channel in {ccd.set.binning} x binning"
+                f"{path}: has {min(wide - {due})} columns, not the {due} of a channel in "
+                f"{ccd.set.binning} x binning"
             )
         mirrored: tuple[int, ...] = ()
         if len(halves) == 2:
             mirrored = _mirrored(halves[1][0][:lines], halves[0][0][:lines])
         values, bad = _side_by_side(halves, lines, mirrored)
+        _check_held(path, ccd.name, values, bad)
         columns = int(bad.all(axis=0).sum())
         channels = " and ".join(map(str, ccd.channels))
         own = ccd.set
@@ -302,6 +318,19 @@ class _Joined:
         """Values (lines, columns) and which of them are none."""
         halves = {channel: _half(path)[:2] for channel, (path, _) in self.ccd.channels.items()}
         return _side_by_side(halves, self.lines, self.mirrored)
+
+
+def _check_held(path: Path, name: str, values: NDArray[np.uint16], bad: NDArray[np.bool_]) -> None:
+    """InputError where nothing of a CCD can be matched."""
+    if len(values) < _LEAST_LINES:
+        raise InputError(
+            f"{path}: {name} has {len(values)} lines; {_LEAST_LINES} or more are needed for a window that "
+            "can be matched"
+        )
+    held = values[~bad]
+    if not held.size or (held == held[0]).all():
+        what = f"the same value ({held[0]}) everywhere" if held.size else "no value (clipped codes, gaps)"
+        raise InputError(f"{path}: {name} holds {what}; give the channel as it came, or leave the CCD out")
 
 
 def _half(path: Path) -> tuple[NDArray[np.uint16], NDArray[np.bool_], str]:
