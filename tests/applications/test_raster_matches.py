@@ -12,7 +12,9 @@ from tests.matching.fourier_textures import shifted_pair
 
 import sightline
 from sightline import ArrayImage, PlacedImage, match_bands, match_rasters
+from sightline.applications.raster_matches import _in_agreement
 from sightline.errors import EstimationError, InputError
+from sightline.matching.matches import KEPT, OUTLIER, TEXTURELESS, Matches
 
 SHAPE = (400, 640)
 
@@ -164,6 +166,28 @@ def test_unrelated_images_are_hardly_ever_taken_for_the_same():
         a, _ = shifted_pair((128, 160), (0.0, 0.0), snr=100, seed=2 * seed)
         b, _ = shifted_pair((128, 160), (0.0, 0.0), snr=100, seed=2 * seed + 1)
         refused(ArrayImage(a), ArrayImage(b), "do not show the same", EstimationError)
+
+
+@pytest.mark.parametrize("chance", [False, True])
+def test_faint_matches_are_believed_where_they_go_with_others_and_hide_no_outlier(chance):
+    rng, shape = np.random.default_rng(4), (24, 24)
+    faint, wrong = rng.random(shape) < 0.5, np.zeros(shape, dtype=bool)
+    wrong[3::6, 4::6] = True
+    for beside in (-1, 0, 1):  # a false match has neighbours that are kept
+        faint[3::6, 4 + beside :: 6] = False
+    sigma = np.where(faint, 0.4, 0.1)
+    shift = sigma[..., None] * rng.standard_normal((*shape, 2))
+    if chance:
+        shift[faint] = rng.uniform(-3.0, 3.0, (faint.sum(), 2))
+    shift[wrong] += 1.5
+    a = np.stack(np.indices(shape), axis=-1).reshape(-1, 2) * 20.0
+    offset, status = np.array([2.0, -1.0]), np.where(faint, TEXTURELESS, KEPT).astype(np.uint8).ravel()
+    covariance = sigma.reshape(-1, 1, 1) ** 2 * np.eye(2)
+    given = Matches(a, a + offset + shift.reshape(-1, 2), covariance, np.ones(len(a)), status)
+    found = _in_agreement(given, offset, shape).status.reshape(shape)
+    assert (found[wrong] == OUTLIER).all()
+    assert (found[~faint & ~wrong] == KEPT).mean() > 0.98  # chance makes one in 3000, a false neighbour more
+    assert (found[faint] == (TEXTURELESS if chance else KEPT)).mean() > 0.98
 
 
 def test_the_names_of_the_package_reach_it():

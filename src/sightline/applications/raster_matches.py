@@ -540,14 +540,21 @@ def _in_agreement(found: Matches, offset: Array, shape: tuple[int, int]) -> Matc
     they scatter as their sigmas say, they are none.
     """
     faint = (found.status == TEXTURELESS) & (largest_sigma(found.covariance_px) <= MAX_SIGMA_PX)
-    shift, sigma = (
-        np.where((found.kept | faint)[:, None], values, np.nan).reshape(*shape, 2)
-        for values in (found.b - found.a - offset, found.sigma_px)
-    )
-    departure = departures(shift, sigma).ravel()
+    departure = _departures(found, found.kept | faint, offset, shape)
     if scatter(departure[faint]) <= _FAINT_SCATTER:
         found = replace(found, status=np.where(faint, KEPT, found.status))
+    elif faint.any():  # chance is no neighbour of what is kept
+        departure = _departures(found, found.kept, offset, shape)
     return found.with_status(disagreeing(np.where(found.kept, departure, np.nan)), OUTLIER)
+
+
+def _departures(found: Matches, of: NDArray[np.bool_], offset: Array, shape: tuple[int, int]) -> Array:
+    """(N,) in sigmas, how far some of the matches depart from their neighbours; NaN of others."""
+    shift, sigma = (
+        np.where(of[:, None], values, np.nan).reshape(*shape, 2)
+        for values in (found.b - found.a - offset, found.sigma_px)
+    )
+    return departures(shift, sigma).ravel()
 
 
 def _in_pixels_of_a(found: Matches, laid: Overlay) -> Matches:
