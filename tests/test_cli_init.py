@@ -142,6 +142,18 @@ class TestPresets:
                 expected = source.read(number + 1)
             assert np.array_equal(np.asarray(band.image.read((0, 60), (0, 48))), expected)
 
+    @pytest.mark.parametrize(
+        ("names", "far"), [(("B04", "B05"), 13), (("B05", "B09"), 7), (("B05", "B06"), None)]
+    )
+    def test_places_are_sought_in_pixels_of_the_finest_band(self, tmp_path, names, far):
+        # 3 sigma of the difference of two places, 3 px of 10 m each: 127 m
+        for name, wide in zip(names, {13: (1, 2), 7: (1, 3), None: (1, 1)}[far], strict=True):
+            shape = (90 // wide, 60 // wide)
+            np.save(tmp_path / f"{name}.npy", np.arange(np.prod(shape), dtype=np.uint16).reshape(shape))
+        given = [str(tmp_path / f"{name}.npy") for name in names]
+        assert run(["init", *given, *MSI, "--out", str(tmp_path / "out")]) == 0
+        assert written(tmp_path / "out").get("matching") == (far and {"search_px": [far, far]})
+
     def test_a_band_is_left_out(self, images):
         out, words = images / "out", ["--bands", "B02,-,B04,-"]
         assert run(["init", str(images / "all.tif"), *MSI, *words, "--out", str(out)]) == 0

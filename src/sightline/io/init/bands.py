@@ -366,9 +366,10 @@ rotation_sigma = {preset.rotation_sigma!r}{own}"""
 
 def search(preset: Preset, bands: Sequence[BandImage]) -> list[str]:
     """[matching] of bands of unlike pixels, whose places differ by many of the fine ones; none of others."""
-    if len({preset.wide_of(band.name) for band in bands}) == 1:
+    wide = {preset.wide_of(band.name) for band in bands}
+    if len(wide) == 1:
         return []
-    far = math.ceil(3.0 * math.sqrt(2.0) * preset.offset_sigma_px)
+    far = math.ceil(3.0 * math.sqrt(2.0) * preset.offset_sigma_px / min(wide))
     return [f"[matching]\nsearch_px = [{far}, {far}]   # 3 sigma of the places of two bands, fine pixels"]
 
 
