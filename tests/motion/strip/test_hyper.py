@@ -377,3 +377,17 @@ def test_weighted_sums_own_what_is_hidden_and_so_does_a_single_instant() -> None
     assert_allclose(np.diag(found), [5.0, 16.0, 0.0], rtol=1e-4)
     assert_allclose(found[0, 1], 8.0, rtol=1e-4)
     assert_allclose(model.unseen_variance, [5.0, 0.0, 0.0])
+
+
+def test_weighted_sums_at_uneven_lines_own_what_is_hidden_at_their_times() -> None:
+    # lines up to 3 % longer in the middle: as even ones the waves would come apart over 90 periods
+    tone, count = Tone(2.0, 121.0, 1.0), 1500
+    t = np.cumsum(5e-4 * (1.0 + 0.03 * np.sin(np.pi * np.arange(count) / count)))
+    weights = np.zeros((count, 3, 2))
+    weights[:, 0] = (
+        2.0 / count * np.stack([np.cos(2.0 * np.pi * 121.0 * t), np.sin(2.0 * np.pi * 121.0 * t)], axis=1)
+    )
+    found = replace(hyper.BROAD, unseen=((tone,), (), ())).unseen_functionals(t, weights)
+    dense = Spectrum((tone,)).autocovariance(np.abs(np.subtract.outer(t, t)).ravel()).reshape(count, count)
+    expected = weights[:, 0].T @ dense @ weights[:, 0]
+    assert_allclose(found, expected, atol=0.01 * expected.max())

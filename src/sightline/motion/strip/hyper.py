@@ -47,6 +47,8 @@ OWN = 0.5
 #: jitter and tones of one, far below the noise of its rows, is an accident, and of about the size that they
 #: have on the axis that rows tell best.
 LITTLE_OWN = 0.01
+#: Nodes to a line on which weights of uneven lines are laid.
+FINER = 4
 #: Hidden drifts are completed under motions about each axis of at least this share of that which drifts most.
 STILLEST = 1.0 / 3.0
 #: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
@@ -95,8 +97,10 @@ class PriorModel:
         return np.array([sum(tone.sigma**2 for tone in tones) for tones in self.unseen])
 
     def unseen_functionals(self, t: Array, weights: Array) -> Array:
-        """Covariance (K, K) rad^2 of weighted sums, (N, 3, K), of it at the even instants `t` (s)."""
+        """Covariance (K, K) rad^2 of weighted sums, (N, 3, K), of it at the rising instants `t` (s)."""
         out = np.zeros((weights.shape[2],) * 2)
+        if any(self.unseen):
+            t, weights = _evenly_weighted(t, weights)
         for axis, tones in enumerate(self.unseen):
             if tones:
                 lags = Spectrum(tones).autocovariance(t - t[0])
@@ -554,6 +558,25 @@ def _share(own: Sequence[Tone], others: Sequence[Tone], apart: float) -> float |
     both = [(a.sigma, b.sigma) for a in own for b in others if abs(a.frequency - b.frequency) <= apart]
     sizes = np.square(np.array(both).reshape(-1, 2)).sum(axis=0)
     return float(np.sqrt(sizes[0] / sizes[1])) if both else None
+
+
+def _evenly_weighted(t: Array, weights: Array) -> tuple[Array, Array]:
+    """Even instants, and weights (M, 3, K) of theirs that stand for those (N, 3, K) at `t` (s).
+
+    Uneven instants lie between nodes FINER times as dense: a straight line between these is 8 % off at half
+    the rate of the lines, .5 % at an eighth.
+    """
+    steps = np.diff(t)
+    if np.ptp(steps) <= 1e-6 * steps.mean():
+        return t, weights
+    even = np.linspace(t[0], t[-1], FINER * (len(t) - 1) + 1)
+    place = np.clip((t - t[0]) / (even[1] - even[0]), 0.0, len(even) - 1.0)
+    first = np.minimum(place.astype(np.intp), len(even) - 2)
+    share = (place - first)[:, None, None]
+    out = np.zeros((len(even), *weights.shape[1:]))
+    np.add.at(out, first, (1.0 - share) * weights)
+    np.add.at(out, first + 1, share * weights)
+    return even, out
 
 
 def _own_share(differences: Sequence[AngleDifferences]) -> Array:
