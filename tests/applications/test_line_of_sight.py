@@ -252,6 +252,13 @@ class TestHiddenDrifts:
             inside = np.abs(u) < 0.8
             assert np.corrcoef(directions[inside, axis, 3 + k], u[inside])[0, 1] > 0.98
 
+    def test_drifts_of_which_the_prior_says_more_than_the_images_are_hidden(self, recovery):
+        # offsets are known, so that images see every drift: by matches of some hundredths of a pixel well, by
+        # such of hundreds of pixels less than a prior of tens
+        for noise, hidden in ((1.0, ()), (1e4, (0, 1, 2))):
+            estimate = self.estimate(recovery, lambda name, image: "rotation" in name, noise=noise)
+            assert estimate.hidden_drifts == hidden
+
     def test_a_prior_that_holds_roll_still_does_not_bend_the_drift_of_yaw(self, recovery):
         estimate = self.estimate(recovery, lambda name, image: True, noise=3.0, still=(0,))
         t = estimate.grid.nodes - estimate.grid.nodes.mean()

@@ -42,6 +42,8 @@ TIED_SIGMA = 1.0
 #: curves of this degree. Of hidden ones up to 0.01 is left, 0.045 where lags are a few lines: the motion
 #: changes lags by up to a tenth, which a drift would scale it by. Where images see a drift it is 0.19 to 1.
 HIDDEN, DEGREE = 0.09, 3
+#: Nor are drifts seen that images tell less of than this share of all that is known of them.
+SEEN = 0.5
 
 #: Innovations beyond this many sigmas are taken for jumps.
 JUMP = 4.5
@@ -234,7 +236,9 @@ class JointEstimate:
         A drift shifts the images of a pair by what grows with their lag: offsets and rotations imitate it
         where they are free in all images but those of one lag. Curves of the other axes alone, such as the
         parabola of roll that belongs to a drift of yaw, leave some of it to be seen; it is hidden where free
-        static parameters take away all of that.
+        static parameters take away all of that. So it is where what they leave says less than the priors of
+        the motions, which know of such a parabola but that curves that are seen are small: short lags over a
+        narrow field.
         """
         data, count = self._images, self.grid.count
         free = len(self._prior.statics_sigma)
@@ -257,8 +261,18 @@ class JointEstimate:
         motions = [k for k in range(3 * each) if k % each > 1]
         everything = [*motions, *range(3 * each, len(seen))]
         drifts = [each * axis + 1 for axis in range(3)]
-        left = [_unexplained(seen, k, everything) / _unexplained(seen, k, motions) for k in drifts]
-        return tuple(axis for axis in range(3) if left[axis] < HIDDEN)
+        left = np.array([_unexplained(seen, k, everything) for k in drifts])
+        share = left / [_unexplained(seen, k, motions) for k in drifts]
+        hidden = share < HIDDEN
+        if self.ties is None:
+            weights = np.zeros((count, data.block, 3))
+            u = curves[:, 1]
+            for axis in range(3):
+                weights[:, axis, axis] = u / (u @ u)
+            flat = weights.reshape(-1, 3)
+            variance = (flat * self._factor(constants=True).times(flat)[0]).sum(axis=0)
+            hidden |= variance * left * size[drifts] ** 2 < SEEN
+        return tuple(int(axis) for axis in np.flatnonzero(hidden))
 
     def untied_drifts(self) -> tuple[int, ...]:
         """The hidden drifts that neither sensors nor control points see."""
