@@ -137,7 +137,7 @@ def _of_images(
     """The acquisition of images of a known instrument."""
     from sightline.cli.output import output_folder
     from sightline.errors import InputError
-    from sightline.io.init.bands import acquisition_of_bands
+    from sightline.io.init.bands import acquisition_of_bands, band_images
     from sightline.io.init.presets import PRESETS
     from sightline.io.init.presets import preset as preset_of
     from sightline.io.init.templates import TEMPLATES
@@ -154,7 +154,7 @@ def _of_images(
     names = bands.split(",") if bands is not None else ()
     sign = {"+": 1, "-": -1}[lag_sign] if lag_sign is not None else None
     with output_folder(out, overwrite=overwrite) as folder:
-        begun = acquisition_of_bands(known, images, out, names, sign)
+        begun = acquisition_of_bands(known, band_images(known, images, names), out, sign)
         whole_text(folder / "acquisition.toml", begun.text)
     _say(begun, out / "acquisition.toml")
 

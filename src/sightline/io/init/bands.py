@@ -82,34 +82,24 @@ class BandImage:
 
 
 def acquisition_of_bands(
-    preset: Preset, images: Sequence[Path], folder: Path, names: Sequence[str] = (), sign: int | None = None
+    preset: Preset, bands: Sequence[BandImage], folder: Path, sign: int | None = None
 ) -> FirstAcquisition:
     """The acquisition of bands that come without metadata.
 
     Parameters
     ----------
     preset : Preset
-    images : sequence of Path
-        One file for each band, whose name holds that of the band, or files of several bands with `names`.
+    bands : sequence of BandImage
+        As `band_images` gives them.
     folder : Path
         Where the file will lie: paths of the images are relative to it.
-    names : sequence of str, optional
-        Bands of all `images` in their order; ``"-"`` leaves one out.
     sign : {1, -1}, optional
         Whether a band is exposed its lag after the first band or before it; None: not known, after it.
 
     Returns
     -------
     FirstAcquisition
-
-    Raises
-    ------
-    InputError
-        If the bands cannot be told, are not of the preset, are fewer than two, or show other columns.
-    FormatError
-        If an image cannot be read.
     """
-    bands = band_images(preset, images, names)
     assumed, unknown = _assumed(preset, sign), _unknown(preset, sign)
     parts = [_common(preset, bands[0])]
     parts += [_band(preset, band, bands[0], folder, 1 if sign is None else sign) for band in bands]
@@ -136,7 +126,23 @@ def acquisition_text(
 
 
 def band_images(preset: Preset, images: Sequence[Path], names: Sequence[str] = ()) -> list[BandImage]:
-    """Every band of the images, checked: arguments and errors as of `acquisition_of_bands`."""
+    """Every band of the images, checked.
+
+    Parameters
+    ----------
+    preset : Preset
+    images : sequence of Path
+        One file for each band, whose name holds that of the band, or files of several bands with `names`.
+    names : sequence of str, optional
+        Bands of all `images` in their order; ``"-"`` leaves one out.
+
+    Raises
+    ------
+    InputError
+        If the bands cannot be told, are not of the preset, are fewer than two, or show other columns.
+    FormatError
+        If an image cannot be read.
+    """
     found: list[tuple[Path, int, tuple[int, int]]] = []
     met: set[Path] = set()
     for path in images:

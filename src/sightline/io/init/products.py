@@ -61,7 +61,7 @@ def acquisition_of_products(
     folder : Path
         Where the file will lie: all paths are relative to it.
     names : sequence of str, optional
-        Bands of images, as of `acquisition_of_bands`.
+        Bands of images, as of `band_images`.
 
     Returns
     -------
@@ -254,8 +254,9 @@ def _of_granule(
             "pixel 10 m: ESA, Sentinel-2 User Handbook, 2015",
         ),
     )
-    begun = acquisition_of_bands(preset, images, folder, names)
-    said = judged_lags(strips[0], preset, known, band_images(preset, images, names))
+    bands = band_images(preset, images, names)
+    begun = acquisition_of_bands(preset, bands, folder)
+    said = judged_lags(strips[0], preset, known, bands)
     unknown = (
         *begun.unknown,
         "where columns look: in calibration files (GIPP) that are no part of the product",

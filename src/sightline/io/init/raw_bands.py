@@ -56,8 +56,10 @@ def acquisition_of_raw_bands(
     ----------
     product : Product
         Whose metadata tell lags, orbit and attitudes (Pleiades).
-    images, folder, names
-        As of `acquisition_of_bands`.
+    images, names
+        As of `band_images`.
+    folder : Path
+        Where the file will lie: paths of the images are relative to it.
 
     Raises
     ------

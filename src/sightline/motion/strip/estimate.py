@@ -36,6 +36,7 @@ from sightline.motion.strip.joint import (
     JointPrior,
     innovation_weights,
     longest_gap,
+    mean_and_drift,
     solve_joint,
 )
 from sightline.motion.strip.normal_equations import (
@@ -273,11 +274,11 @@ def gauge(
     count = strip.grid.count
     half = 0.5 * strip.grid.step * (count - 1)
     usual, given = strip.known.usual(), (strip.known.attitude_sigma, strip.known.rate_sigma)
-    u = np.linspace(-1.0, 1.0, count)
-    shapes = np.full(count, 1.0 / count), u / (u @ u)
     yaw = [
         max(sigma, math.sqrt(angles[2].variance_of(shape)) if stated is None else 0.0)
-        for sigma, stated, shape in zip((usual[0], half * usual[1]), given, shapes, strict=True)
+        for sigma, stated, shape in zip(
+            (usual[0], half * usual[1]), given, np.ascontiguousarray(mean_and_drift(count).T), strict=True
+        )
     ]
     constant, drift = (
         (min(held[0], sigma), min(held[1], sigma), turn)

@@ -95,17 +95,23 @@ class JointPrior:
     curve_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
+    def _curved(self) -> list[int]:
+        """Axes with a free parabola."""
+        return [k for k in range(3) if self.curve_sigma[k] > 0.0 and self.apart is None]
+
+    @property
     def free_sigma(self) -> Array:
         """Sigmas (F,) rad of what `angles` leave free: parabolas where there are any, a constant per axis."""
-        curves = [sigma for sigma in self.curve_sigma if sigma > 0.0 and self.apart is None]
-        return np.array([*curves, *self.constant_sigma])
+        return np.array([*(self.curve_sigma[k] for k in self._curved), *self.constant_sigma])
 
     def free_shapes(self, count: int, block: int) -> Array:
         """(block * count, F) motions of the grid of which `free_sigma` are the sigmas."""
         shapes = []
         parabola = 1.5 * np.linspace(-1.0, 1.0, count) ** 2 - 0.5
-        curved = [k for k in range(3) if self.curve_sigma[k] > 0.0 and self.apart is None]
-        for axis, values in [*((k, parabola) for k in curved), *((k, np.ones(count)) for k in range(3))]:
+        for axis, values in [
+            *((k, parabola) for k in self._curved),
+            *((k, np.ones(count)) for k in range(3)),
+        ]:
             shape = np.zeros((count, block))
             shape[:, axis] = values
             shapes.append(shape.ravel())
@@ -265,10 +271,9 @@ class JointEstimate:
         share = left / [_unexplained(seen, k, motions) for k in drifts]
         hidden = share < HIDDEN
         if self.ties is None:
-            weights = np.zeros((count, data.block, 3))
-            u = curves[:, 1]
+            weights, drift = np.zeros((count, data.block, 3)), mean_and_drift(count)[:, 1]
             for axis in range(3):
-                weights[:, axis, axis] = u / (u @ u)
+                weights[:, axis, axis] = drift
             flat = weights.reshape(-1, 3)
             variance = (flat * self._factor(constants=True).times(flat)[0]).sum(axis=0)
             hidden |= variance * left * size[drifts] ** 2 < SEEN
@@ -566,6 +571,12 @@ def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, consta
     return factor if banded.place is None else LaidFactor(factor, banded.place)
 
 
+def mean_and_drift(count: int) -> Array:
+    """Weights (count, 2) of a motion's mean over the grid, and of its drift from the middle to the end."""
+    u = np.linspace(-1.0, 1.0, count)
+    return np.stack([np.full(count, 1.0 / count), u / (u @ u)], axis=1)
+
+
 def longest_gap(data: NormalEquations) -> int:
     """Most nodes in a row, between seen ones, that no measurement of roll, pitch or yaw touches."""
     seen = np.flatnonzero(data.ab.diagonal().reshape(-1, data.block)[:, :3].any(axis=1))
@@ -635,9 +646,7 @@ def _held(
     """
     block, count = data.block, data.grid.count
     axes = [axis for axis in range(3) if prior.constant_sigma[axis] < TIED_SIGMA]
-    u = np.linspace(-1.0, 1.0, count)
-    shapes = np.stack([np.full(count, 1.0 / count), u / (u @ u)], axis=1)
-    # the mean over the grid, and the drift from its middle to its end
+    shapes = mean_and_drift(count)
     seen = np.zeros((block * count, 2 * len(axes)))
     for k, axis in enumerate(axes):
         seen[axis::block, 2 * k : 2 * k + 2] = shapes
@@ -774,6 +783,7 @@ __all__: Sequence[str] = (
     "less_directions",
     "longest_gap",
     "marginal_covariance",
+    "mean_and_drift",
     "projected_covariance",
     "solve_joint",
 )
