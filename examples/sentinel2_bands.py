@@ -18,7 +18,7 @@ import numpy as np
 import sightline
 from sightline.applications.registration import fit_every_pair
 from sightline.geometry.conjugate import predict_match
-from sightline.io.init.bands import acquisition_of_bands
+from sightline.io.init.bands import acquisition_of_bands, band_images
 from sightline.io.init.presets import preset
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import recovered_cameras
@@ -66,7 +66,7 @@ if __name__ == "__main__":
         sys.exit(f"no crops in {DATA}; set SIGHTLINE_DATA to the folder of real data")
     for image in crops:
         sign = -1 if image.stem in ("03", "04", "05", "06", "07") else 1
-        begun = acquisition_of_bands(MSI, [image], out, NAMES, sign)
+        begun = acquisition_of_bands(MSI, band_images(MSI, [image], NAMES), out, sign)
         (out / f"{image.stem}.toml").write_text(begun.text, encoding="utf-8")
         acquired = sightline.load_acquisition(out / f"{image.stem}.toml")
         found = sightline.recover_line_of_sight(acquired.bands[:3], acquired.surface)
