@@ -462,6 +462,17 @@ def fit_prior_model(
             "[matching] window"
         )
 
+    dark = [
+        name
+        for axis, name in enumerate(("roll", "pitch", "yaw"))
+        if not any(d.of_axis(axis).used.any() for d in differences)
+    ]
+    if dark:
+        raise EstimationError(
+            f"no row of any pair holds enough kept matches to show {', '.join(dark)}: too few windows side by "
+            "side, or too weak a texture; give more columns, larger windows ([matching] window), or bands of "
+            "more contrast"
+        )
     hidden = estimate.untied_drifts()
 
     def fitted(
