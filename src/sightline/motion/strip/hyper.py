@@ -469,9 +469,9 @@ def fit_prior_model(
     ]
     if dark:
         raise EstimationError(
-            f"no row of any pair holds enough kept matches to show {', '.join(dark)}: too few windows side by "
-            "side, or too weak a texture; give more columns, larger windows ([matching] window), or bands of "
-            "more contrast"
+            f"no row of any pair holds enough kept matches to show {', '.join(dark)}: too few windows side "
+            "by side, or too weak a texture; give more columns, larger windows ([matching] window), or bands "
+            "of more contrast"
         )
     hidden = estimate.untied_drifts()
 
