@@ -259,8 +259,9 @@ def _check_limb(rays: Array, origins: Array, axes: Array, height: float, sun: Ar
     if abs(height) > MOST_HEIGHT:
         raise EstimationError(
             f"limb points lie {100 * abs(height):.2g} % of the radius {'above' if height > 0 else 'below'} "
-            f"the body, more than {100 * MOST_HEIGHT:g} %: they are no limb but blooming, or the terminator "
-            "of an overexposed image; give the attitude"
+            f"the body, more than {100 * MOST_HEIGHT:g} %: they are no limb but haze, blooming, noise where "
+            "the limb is hardly brighter than the sky, or the terminator of an overexposed image; give the "
+            "attitude"
         )
 
 
