@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sightline.estimation.prior import Spectrum, Tone
 from sightline.evaluation.error_spectrum import error_psd
 
 
@@ -36,3 +37,13 @@ def test_the_error_is_less_than_the_prior_and_less_than_that_of_the_matches_alon
     prior = np.stack([spectrum.psd(frequency) for spectrum in result.spectra], axis=1)
     assert (error <= prior).all() and (error <= alone).all()
     np.testing.assert_allclose(1.0 / error, 1.0 / prior + 1.0 / alone, rtol=1e-9)
+
+
+def test_products_of_hidden_modes_are_errors_and_no_motion(recovery):
+    # at 45 Hz motion is seen well, and so is what averaging puts there: a tone of 2 urad, none of the body's
+    result, frequency = recovery.result, np.linspace(20.0, 70.0, 5001)
+    made = replace(result, intermodulation=(None, Spectrum((Tone(2e-6, 45.0, 1.0),)), None))
+    more = error_psd(made, frequency) - error_psd(result, frequency)
+    # a line of 1 Hz within 25 Hz on both sides: 2 / pi atan(50) of it
+    np.testing.assert_allclose(np.trapezoid(more, frequency, axis=0), [0.0, 3.95e-12, 0.0], rtol=3e-3)
+    assert made.spectra == result.spectra

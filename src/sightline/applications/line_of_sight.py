@@ -68,6 +68,7 @@ from sightline.motion.strip.viewing_axes import (
     turned_directions,
     turned_spectra,
     turned_star,
+    turned_tones,
 )
 from sightline.motion.strip.warnings import (
     control_warnings,
@@ -627,6 +628,7 @@ def _result(
         half_field=strip.half_field,
         statics=statics,
         spectra=strip.known.spectra or turned_spectra(state.model.whole(), turn),
+        intermodulation=turned_tones(state.model.products, turn),
         records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in records),
         before_px=state.before_px,
         after_px=state.post_px,

@@ -58,6 +58,9 @@ class FittedSpectrum:
     hidden : tuple of Tone
         Wide ones, in the unit of the series: what is to be expected where TDI averages motion away. No
         estimate finds it.
+    products : tuple of Tone
+        Sums and differences of such modes and of those found (intermodulation), in the unit of the series:
+        averaging puts them into the motion that is found; the body does not move so.
     through : tuple of float
         Hz; a mode there that certainly shines through.
     """
@@ -69,6 +72,7 @@ class FittedSpectrum:
     significance: tuple[float, ...] = ()
     sizes: tuple[float, ...] = ()
     hidden: tuple[Tone, ...] = ()
+    products: tuple[Tone, ...] = ()
     through: tuple[float, ...] = ()
 
     @property
@@ -231,6 +235,7 @@ def fit_spectrum(
     if usual is not None:
         model = search.with_usual_sizes(model, usual.scaled(1.0 / unit))
     hidden, through = search.hidden_tones(model, elsewhere)
+    products = search.products(model, hidden)
     now = search.posterior(model)
     sizes = [math.sqrt(variance_at(now, tone.frequency)) for tone in model.tones]
     fitted = model.spectrum.scaled(unit)
@@ -243,6 +248,7 @@ def fit_spectrum(
         tuple(model.gains[k] for k in order),
         tuple(sizes[k] * unit for k in order),
         tuple(replace(tone, sigma=tone.sigma * unit) for tone in hidden),
+        tuple(replace(tone, sigma=tone.sigma * unit) for tone in products),
         through,
     )
 

@@ -668,8 +668,7 @@ class Search:
         left = left_by_tdi(f, self._tdi)
         beyond = f * self._coarse > SEEN_THROUGH
         hidden = (left < LEFT_BY_TDI) | beyond
-        modes = np.array([tone.frequency for tone in model.tones])
-        modes = modes[left_by_tdi(modes, self._tdi) >= LEFT_BY_TDI]
+        modes = self._seen_modes(model)
         if not hidden.any() or not len(modes):
             return (), ()
         now = self.posterior(model)
@@ -713,9 +712,7 @@ class Search:
         odds = max(number[hidden].sum(), np.exp(likely[hidden]).sum())
         if odds < SELDOM / (1.0 - SELDOM):
             return (), through
-        tones = _wide_tones(f, hidden, expected, 1.0 / self._length)
-        seen = [Tone(math.sqrt(size), mode, 1.0) for mode, size in zip(modes, sizes, strict=True)]
-        return (*tones, *self._products_of(tones, seen)), through
+        return _wide_tones(f, hidden, expected, 1.0 / self._length), through
 
     def without_products(self, model: NoiseModel) -> NoiseModel:
         """The model less tones that are products of a mode that TDI hides and others that it does not.
@@ -760,8 +757,24 @@ class Search:
             shares.append(np.abs(shown))
         return np.asarray(np.max(shares, axis=0))
 
+    def _seen_modes(self, model: NoiseModel) -> Array:
+        """Hz; tones of the model of which the stages leave enough."""
+        modes = np.array([tone.frequency for tone in model.tones])
+        return np.asarray(modes[left_by_tdi(modes, self._tdi) >= LEFT_BY_TDI])
+
+    def products(self, model: NoiseModel, hidden: Sequence[Tone]) -> tuple[Tone, ...]:
+        """What hidden modes make of those that are seen, in the motion that is found but not in the body's.
+
+        Tones at sums and differences of three (intermodulation).
+        """
+        if not hidden:
+            return ()
+        now = self.posterior(model)
+        modes = [Tone(math.sqrt(variance_at(now, f)), f, 1.0) for f in self._seen_modes(model).tolist()]
+        return tuple(self._products_of(hidden, modes))
+
     def _products_of(self, hidden: Sequence[Tone], modes: Sequence[Tone]) -> list[Tone]:
-        """What hidden modes make of others in the motion that is found: tones at sums, differences of three.
+        """The same of hidden modes and others.
 
         Notes
         -----

@@ -33,7 +33,8 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections
     ``1 / (1/S + 1/N)`` (the error of a Wiener smoother): N where the motion is seen well, S where it is not.
     N is T times the variance of a steady tone's amplitude over the strip's duration T (``observed.py``),
     infinite at blind frequencies. Without a prior the error is N alone. The motion of another method adds the
-    density of its departure from that estimate.
+    density of its departure from that estimate; products of what TDI averages away (`intermodulation`) are
+    errors however well they are seen.
     """
     f = np.asarray(frequency, dtype=np.float64)
     seen = seen if seen is not None else observed(result, f)
@@ -43,6 +44,9 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections
     prior = np.stack([one.psd(f) for one in result.spectra], axis=1)
     with np.errstate(divide="ignore"):
         error = np.asarray(1.0 / (1.0 / prior + 1.0 / measured))
+    for axis, products in enumerate(result.intermodulation):
+        if products is not None:
+            error[:, axis] += products.psd(f)
     if result.method is None:
         return error
     lost = spectrum(Motion(result.motion.t, result.method.departure))

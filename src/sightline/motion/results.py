@@ -138,6 +138,9 @@ class LineOfSight(Result):
     statics : tuple of StaticEstimate
     spectra : three Spectrum or None
         Priors of roll, pitch, yaw as the data asked for them (rad); None where none is used.
+    intermodulation : three Spectrum or None
+        Sums and differences of modes that TDI averages away and of others (rad): averaging puts them into
+        roll, pitch, yaw as they are found, and no body moves so. Errors, no part of `spectra`.
     records : tuple of StarRecord
         Observations of the last pass, with the status of every match.
     before_px, after_px : tuple of (G, K, 2)
@@ -193,6 +196,7 @@ class LineOfSight(Result):
     differences: tuple[AngleDifferences, ...] = ()
     method: NamedMethod | None = None
     relief: RowRelief | None = None
+    intermodulation: tuple[Spectrum | None, ...] = (None, None, None)
     lines: NDArray[np.int64] | None = None
     withheld: tuple[WithheldAxis, ...] = ()
     control: ControlFit | None = None

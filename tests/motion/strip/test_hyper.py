@@ -304,7 +304,11 @@ class TestPriorModel:
         def remember(series, **_):
             given.append(series)
             return SimpleNamespace(
-                spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)), noise_scale=1.0, hidden=(), through=()
+                spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)),
+                noise_scale=1.0,
+                hidden=(),
+                products=(),
+                through=(),
             )
 
         monkeypatch.setattr(hyper, "fit_spectrum", remember)
@@ -369,7 +373,8 @@ def test_weighted_sums_own_what_is_hidden_and_so_does_a_single_instant() -> None
     # tones of 2 and 1 px in roll: an instant has their variances, its difference to one half a period of the
     # first later four times that of the first alone, where the other has gone through whole periods
     tones = (Tone(2.0, 50.0, 1e-6), Tone(1.0, 100.0, 1e-6))
-    model = replace(hyper.BROAD, unseen=(tones, (), ()))
+    model = replace(hyper.BROAD, unseen=(tones[:1], (), ()), products=(tones[1:], (), ()))
+    assert model.whole()[0].tones == tones[:1]  # the body does not move as the products do
     t = 0.7 + 1e-3 * np.arange(40)
     weights = np.zeros((40, 3, 3))
     weights[5, 0, 0] = 1.0

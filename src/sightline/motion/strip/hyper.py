@@ -76,12 +76,15 @@ class PriorModel:
 
     `noise_scale` holds one factor on the variance per axis: errors that a whole row shares do not scatter
     within it; the marginal likelihood sees them. `unseen` are wide tones, as strong as what TDI may hide at
-    their frequencies: no estimate finds them, its sigma owns them.
+    their frequencies: no estimate finds them, its sigma owns them. `products` are sums and differences of
+    those and of seen modes (intermodulation): every estimate holds them, no body moves so, and the sigma owns
+    them likewise.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
     noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     unseen: tuple[tuple[Tone, ...], ...] = ((), (), ())
+    products: tuple[tuple[Tone, ...], ...] = ((), (), ())
 
     def whole(self) -> tuple[Spectrum, Spectrum, Spectrum]:
         """The spectra with what TDI averages away."""
@@ -92,16 +95,21 @@ class PriorModel:
         return roll, pitch, yaw
 
     @property
+    def unestimated(self) -> tuple[tuple[Tone, ...], ...]:
+        """Errors of every estimate, per axis: what TDI averages away, and its products."""
+        return tuple((*hidden, *made) for hidden, made in zip(self.unseen, self.products, strict=True))
+
+    @property
     def unseen_variance(self) -> Array:
-        """(3,) rad^2 of what TDI averages away."""
-        return np.array([sum(tone.sigma**2 for tone in tones) for tones in self.unseen])
+        """(3,) rad^2 of what TDI averages away, and of its products."""
+        return np.array([sum(tone.sigma**2 for tone in tones) for tones in self.unestimated])
 
     def unseen_functionals(self, t: Array, weights: Array) -> Array:
         """Covariance (K, K) rad^2 of weighted sums, (N, 3, K), of it at the rising instants `t` (s)."""
         out = np.zeros((weights.shape[2],) * 2)
-        if any(self.unseen):
+        if any(self.unestimated):
             t, weights = _evenly_weighted(t, weights)
-        for axis, tones in enumerate(self.unseen):
+        for axis, tones in enumerate(self.unestimated):
             if tones:
                 lags = Spectrum(tones).autocovariance(t - t[0])
                 out += weights[:, axis].T @ matmul_toeplitz(lags, weights[:, axis])
@@ -538,6 +546,7 @@ def fit_prior_model(
         (roll.spectrum, pitch.spectrum, yaw.spectrum),
         (scales[0], scales[1], scales[2]),
         (roll.hidden, pitch.hidden, yaw.hidden),
+        (roll.products, pitch.products, yaw.products),
     )
     return model.with_turns(length, drift_alone=across is not None)
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.estimation.prior import Spectrum
+from sightline.estimation.prior import Spectrum, Tone
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.pointing import pointing_matrices, turned_pointing
 from sightline.motion.measure.common_view import Views, usable
@@ -114,6 +114,20 @@ def turned_spectra(
         parts = [s.scaled(abs(float(w))) for s, w in zip(spectra, row, strict=True) if abs(w) > 1e-6]
         out.append(Spectrum(tuple(c for part in parts for c in part.components)))
     return out[0], out[1], out[2]
+
+
+def turned_tones(tones: Sequence[Sequence[Tone]], turn: Array) -> tuple[Spectrum | None, ...]:
+    """Tones of the three angles, independent, in the axes that `turn` leads to; None where there are none."""
+    out = []
+    for row in turn:
+        turned = [
+            replace(tone, sigma=tone.sigma * abs(float(w)))
+            for own, w in zip(tones, row, strict=True)
+            for tone in own
+            if abs(w) > 1e-6
+        ]
+        out.append(Spectrum(tuple(turned)) if turned else None)
+    return tuple(out)
 
 
 def turned_star(star: Star, turn: Array) -> Star:
