@@ -232,6 +232,23 @@ class TestTdiStages:
         assert_allclose(camera.locate(self.PIXELS, Plane()), np.mean(each, axis=0), atol=2e-3)
         assert_allclose(camera.rays(self.PIXELS).t, (self.PIXELS[:, 0] + first + 7.5) * PERIOD, atol=1e-9)
 
+    def test_a_turn_that_grows_from_stage_to_stage_moves_columns_by_where_each_looks(self):
+        # 15 mrad at 47 Hz: the outermost of 16 stages lie 7.5 px from the middle, which moves the mean by up to
+        # (16^2 - 1) / 12 * .015 * 2 pi 47 * 5e-4 = .047 px, less what the stages average away
+        motion = Motion(self.T, 0.015 * np.outer(np.sin(2.0 * np.pi * 47.0 * self.T), [0.0, 0.0, 1.0]))
+        moving = FLIGHT.with_motion(motion)
+        pixels = np.stack([np.linspace(50.0, 900.0, 40), np.full(40, 499.5)], axis=1)
+        found = pushbroom(moving, stages=16).locate(pixels, Plane())
+        each = [
+            PushbroomCamera(DETECTOR.adjusted(-late), moving, FixedMount(), late * PERIOD, 1000)
+            for late in np.arange(16) - 7.5
+        ]
+        expected = np.mean([camera.locate(pixels, Plane()) for camera in each], axis=0)
+        middle = pushbroom(moving).locate(pixels, Plane())
+        assert np.abs(expected - middle)[:, 0].max() > 0.1  # m; 3.4 m are a pixel
+        # what is left is of second order: 7.5 px times the square of the .008 rad that a stage is turned by
+        assert_allclose(found, expected, atol=1e-3)
+
     def test_columns_of_other_stages_have_their_own_times_and_averages(self):
         counts = np.where(np.arange(1000) < 600, 4, 32)
         camera = pushbroom(self.MOVING, stages=counts, time_reference="first-stage")

@@ -116,7 +116,8 @@ class PushbroomCamera(ReadOnlyArrays):
     -----
     A pixel of N stages shows the ground as it was seen in N line periods, each stage one line period and one
     pixel after the one before: it looks where the stages do on average. Position and nominal direction are
-    those of their middle, the attitude is its mean.
+    those of their middle, the attitude is its mean: of each stage about where it looks, so that a turn about
+    the line of sight that grows from stage to stage moves the columns too.
 
     Line i is exposed at t = first_line_time + line_period * i. Poses are exact at whole lines and follow the
     cubic through the four nearest lines between them.
@@ -294,7 +295,13 @@ class PushbroomCamera(ReadOnlyArrays):
         first = int(places[covered[0]])
         lever_arm = as_vector(self.lever_arm, "lever_arm")
         return PoseTable.of(
-            first, read_only(t[covered]), self.trajectory, self.pointing, lever_arm, self._stage_times
+            first,
+            read_only(t[covered]),
+            self.trajectory,
+            self.pointing,
+            lever_arm,
+            self._stage_times,
+            self.detector.pixel_step / self.detector.line_period,
         )
 
     def camera_tangents(self, points: ArrayLike, lines: ArrayLike) -> Array:

@@ -15,7 +15,7 @@ from sightline.geometry.camera_kernels import ROW
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, read_only
 from sightline.geometry.interpolation import POINTS, interpolate
 from sightline.geometry.pointing import FixedMount, Pointing, pointing_matrices
-from sightline.geometry.trajectory import Trajectory
+from sightline.geometry.trajectory import MeanPose, Trajectory
 
 
 def camera_poses(
@@ -24,6 +24,7 @@ def camera_poses(
     pointing: Pointing,
     lever_arm: Array,
     around: Array | None = None,
+    lean: float = 0.0,
 ) -> tuple[Array, Array]:
     """Camera axes and entrance pupil at times `t` (M,).
 
@@ -39,6 +40,9 @@ def camera_poses(
         m, body axes.
     around : (K,), optional
         s; the attitude is the mean of those so much later than each of `t`.
+    lean : float
+        1/s; by how much of a tangent what looks later looks toward smaller lines. A turn about the line of
+        sight that grows meanwhile moves its columns, as one about the axis of lines does.
 
     Returns
     -------
@@ -50,10 +54,24 @@ def camera_poses(
     pose = trajectory.at(t) if around is None else trajectory.mean_at(t, around)
     world_from_body = pose.world_from_body.as_matrix()
     if isinstance(pointing, FixedMount):
-        world_from_camera = world_from_body @ pointing.body_from_camera.as_matrix()
+        body_from_camera = pointing.body_from_camera.as_matrix()[np.newaxis]
     else:
-        world_from_camera = world_from_body @ pointing_matrices(pointing, t)
+        body_from_camera = pointing_matrices(pointing, t)
+    world_from_camera = world_from_body @ body_from_camera
+    if isinstance(pose, MeanPose):
+        # about the line of sight; mirrors turn the other way round
+        turning = np.linalg.det(body_from_camera) * (body_from_camera[..., 2] * pose.moment).sum(axis=-1)
+        world_from_camera = world_from_camera @ _about_lines(lean * turning)
     return world_from_camera, pose.position + world_from_body @ lever_arm
+
+
+def _about_lines(angle: Array) -> Array:
+    """Turns (M, 3, 3) by `angle` (M,) rad about the camera's y, towards larger lines."""
+    out = np.zeros((len(angle), 3, 3))
+    out[:, 0, 0] = out[:, 2, 2] = np.cos(angle)
+    out[:, 0, 2], out[:, 2, 0] = np.sin(angle), -np.sin(angle)
+    out[:, 1, 1] = 1.0
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +102,15 @@ class PoseTable(ReadOnlyArrays):
         pointing: Pointing,
         lever_arm: Array,
         around: Array | None = None,
+        lean: float = 0.0,
     ) -> PoseTable:
         """Table for the exposure times `t` (R,), s, of the lines first, first + 1, ...
 
-        `around` (K,): s from each to the stages of its pixels.
+        `around` (K,): s from each to the stages of its pixels; `lean`: see `camera_poses`.
 
         Fewer lines than a cubic needs become samples of the polynomial through them.
         """
-        world_from_camera, position = camera_poses(t, trajectory, pointing, lever_arm, around)
+        world_from_camera, position = camera_poses(t, trajectory, pointing, lever_arm, around, lean)
         origin = position.mean(axis=0)
         rows = np.empty((len(t), ROW))
         rows[:, :9] = world_from_camera.reshape(-1, 9)

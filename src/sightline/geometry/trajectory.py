@@ -157,6 +157,19 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
+class MeanPose(Pose):
+    """A pose whose attitude is a mean over some time.
+
+    Attributes
+    ----------
+    moment : (M, 3)
+        rad s, body axes; mean of the turns from the middle, each times how much later it is.
+    """
+
+    moment: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory(ReadOnlyArrays):
     """Position and attitude of the platform as functions of time.
 
@@ -301,7 +314,7 @@ class Trajectory(ReadOnlyArrays):
             attitude = attitude * Rotation.from_rotvec(self.motion.at(times))
         return Pose(reference.position.copy(), attitude)
 
-    def mean_at(self, t: ArrayLike, around: ArrayLike) -> Pose:
+    def mean_at(self, t: ArrayLike, around: ArrayLike) -> MeanPose:
         """Pose at times `t` (M,), its attitude the mean of those `around` (K,) s later: what TDI averages.
 
         The mean is that of small turns from the middle one. Beyond its span an attitude counts as that of the
@@ -310,25 +323,30 @@ class Trajectory(ReadOnlyArrays):
         times, offsets = as_times(t), np.asarray(around, dtype=np.float64)
         _check_span(times, self.span, "the trajectory")
         reference = self._mean_reference(times, offsets)
-        attitude = reference.world_from_body
+        attitude, moment = reference.world_from_body, reference.moment
         if self.motion is not None:
             near = np.clip(times[:, np.newaxis] + offsets, *self.motion.span)
-            angles = self.motion.at(near.ravel()).reshape(*near.shape, 3).mean(axis=1)
-            attitude = attitude * Rotation.from_rotvec(angles)
-        return Pose(reference.position.copy(), attitude)
+            angles = self.motion.at(near.ravel()).reshape(*near.shape, 3)
+            attitude = attitude * Rotation.from_rotvec(angles.mean(axis=1))
+            moment = moment + np.einsum("k,mka->ma", offsets / len(offsets), angles)
+        return MeanPose(reference.position.copy(), attitude, moment)
 
-    def _mean_reference(self, t: Array, around: Array) -> Pose:
+    def _mean_reference(self, t: Array, around: Array) -> MeanPose:
         """Pose without motion, its attitude averaged; kept like `_reference`."""
         key = hashlib.blake2b(t.tobytes() + around.tobytes(), digest_size=16).digest()
         pose = self._known.get(key)
         if pose is None:
             middle = self._reference(t)
-            turn, ends = np.zeros((len(t), 3)), (self.t_attitude[0], self.t_attitude[-1])
+            ends = (self.t_attitude[0], self.t_attitude[-1])
+            turn, moment = np.zeros((len(t), 3)), np.zeros((len(t), 3))
             for offset in around:
                 there = self._reference_attitude(np.clip(t + offset, *ends))
-                turn += (middle.world_from_body.inv() * there).as_rotvec()
-            mean = middle.world_from_body * Rotation.from_rotvec(turn / len(around))
-            pose = self._keep(key, Pose(middle.position, mean))
+                each = (middle.world_from_body.inv() * there).as_rotvec() / len(around)
+                turn += each
+                moment += offset * each
+            mean = middle.world_from_body * Rotation.from_rotvec(turn)
+            pose = self._keep(key, MeanPose(middle.position, mean, moment))
+        assert isinstance(pose, MeanPose)
         return pose
 
     @cached_property
