@@ -233,7 +233,7 @@ class TestTdiStages:
         assert_allclose(camera.rays(self.PIXELS).t, (self.PIXELS[:, 0] + first + 7.5) * PERIOD, atol=1e-9)
 
     def test_a_turn_that_grows_from_stage_to_stage_moves_columns_by_where_each_looks(self):
-        # 15 mrad at 47 Hz: the outermost of 16 stages lie 7.5 px from the middle, which moves the mean by up to
+        # 15 mrad at 47 Hz: the outermost of 16 stages lie 7.5 px from the middle; the mean is moved by up to
         # (16^2 - 1) / 12 * .015 * 2 pi 47 * 5e-4 = .047 px, less what the stages average away
         motion = Motion(self.T, 0.015 * np.outer(np.sin(2.0 * np.pi * 47.0 * self.T), [0.0, 0.0, 1.0]))
         moving = FLIGHT.with_motion(motion)
