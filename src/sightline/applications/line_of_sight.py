@@ -60,7 +60,13 @@ from sightline.motion.strip.joint import (
 )
 from sightline.motion.strip.methods import by_method, check_method, strip_differences
 from sightline.motion.strip.relief import RowRelief
-from sightline.motion.strip.shape import ask_for_shapes, shape_warnings, unknown_shapes, with_shapes
+from sightline.motion.strip.shape import (
+    ask_for_shapes,
+    shape_warnings,
+    unknown_shapes,
+    windows_over_bends,
+    with_shapes,
+)
 from sightline.motion.strip.strip import RecoverOptions, Shapes, Strip, prepared, suited
 from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
@@ -255,6 +261,7 @@ def joint_line_of_sight(
             begun = _begin(with_shapes(draft, shapes), options, height_sigma, tell)
         passed = _kept(stages, names, _Passed(names[0], begun, shapes=shapes))
     strip, draft = with_shapes(strip, passed.shapes), with_shapes(draft, passed.shapes)
+    options = windows_over_bends(options, strip.bands)
     while len(passed.changes) < options.passes:
         # the first of the changes has no spectrum of its own yet
         if len(passed.changes) > 1 and passed.changes[-1] < tolerance:

@@ -266,6 +266,8 @@ class WarpedImage:
         even spacing: a platform that shakes scans unevenly.
     rough : tuple of float
         Columns of the grid about which the map is not smooth: it is evaluated at every second one there.
+    smooth : bool
+        Whether the map is worth a look for cubics between fewer places. Over relief it is not.
 
     Notes
     -----
@@ -280,6 +282,7 @@ class WarpedImage:
     spacing: int = 64
     places: Array | None = None
     rough: tuple[float, ...] = ()
+    smooth: bool = True
 
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
         """Resampled pixels, float32; NaN where the kernel would leave the source or meet an unusable pixel.
@@ -336,7 +339,7 @@ class WarpedImage:
         as good: the lines of a smooth map are alike but for how they are moved and turned.
         """
         few = np.linspace(nodes[0], nodes[-1], len(nodes) // 4 + 1)
-        if self.spacing >= SMOOTH and len(few) >= POINTS and not len(self.rough) and len(rows) > 2 * SHOWN:
+        if self.smooth and len(few) >= POINTS and not len(self.rough) and len(rows) > 2 * SHOWN:
             shown = rows[np.linspace(0, len(rows) - 1, SHOWN).astype(int)]
             apart = np.abs(_between(few, self.mapping(shown, few), nodes) - self.mapping(shown, nodes))
             if apart.max() < CUBIC:  # not where any is NaN

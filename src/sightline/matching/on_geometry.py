@@ -54,7 +54,7 @@ def resampled(
     spacing: int = MAP_SPACING,
 ) -> WarpedImage:
     """A partner on the grid of a hub of a shape, resampled as it is read; the geometry is smooth."""
-    return WarpedImage(partner, lattice_map(geometry), shape, spacing)
+    return WarpedImage(partner, lattice_map(geometry), shape, spacing, smooth=False)
 
 
 def lattice_points(shape: tuple[int, int], side: int) -> Array:

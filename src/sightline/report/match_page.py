@@ -317,7 +317,7 @@ def _moved(result: RasterMatches, overlay: Overlay, *, follow: bool) -> ImageSou
         moved = _shift_at(result, at, overlay.reduced) if follow else 0.0
         return np.asarray(at + overlay.offset + moved)
 
-    return WarpedImage(overlay.b, mapping, overlay.a.shape, spacing=8)
+    return WarpedImage(overlay.b, mapping, overlay.a.shape, spacing=8, smooth=False)
 
 
 def _shift_at(result: RasterMatches, at: Array, reduced: int) -> Array:

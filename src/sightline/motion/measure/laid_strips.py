@@ -20,15 +20,18 @@ from sightline.geometry.surface import Dem, Surface
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.reduce import Mapping, averaged
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import WarpedImage
+from sightline.imaging.warp import STRAIGHT, WarpedImage
 from sightline.motion.measure.predict import MovingCamera
 from sightline.motion.measure.windows import WindowGrid
 
 Array = NDArray[np.float64]
 
-#: Columns between the places where the map of two images is evaluated: over relief, over smooth surfaces.
-RELIEF_SPACING, SMOOTH_SPACING = 16, 64
-#: Lines at which the columns are sought where the CCDs of a line meet in steps.
+#: Columns between the places where the map of two images is evaluated: over relief; over smooth surfaces, at
+#: most and, where a line bends, at least.
+RELIEF_SPACING, SMOOTH_SPACING, BENT_SPACING = 16, 64, 4
+#: Columns over which it is seen how much a line bends.
+BEND_COLUMNS = 32
+#: Lines at which the columns are sought where the CCDs of a line meet in steps, and its bends.
 STEP_LINES = 5
 #: Lines over which their spacing on the ground is averaged, and departures of one from the next (lines) up to
 #: which lines pass for even.
@@ -153,13 +156,14 @@ def laid_on(
         pixels = np.stack(places, axis=-1).reshape(-1, 2)
         return predict_match(source, target, surface, pixels).reshape(len(lines), len(columns), 2)
 
-    spacing = RELIEF_SPACING if isinstance(surface, Dem) else SMOOTH_SPACING
     parts = parts_of_pixel(cameras, hub, partner)
     rough = _rough_columns(source, target, mapping, images[hub].shape)
+    smooth = not isinstance(surface, Dem)
+    spacing = _spacing_over_bends(mapping, images[hub].shape, rough) if smooth else RELIEF_SPACING
     places = line_places(target, surface)
 
     def laid(mapping: Mapping, shape: tuple[int, int]) -> WarpedImage:
-        return WarpedImage(images[partner], mapping, shape, spacing, places, tuple(rough * parts[1]))
+        return WarpedImage(images[partner], mapping, shape, spacing, places, tuple(rough * parts[1]), smooth)
 
     return averaged(laid, mapping, images[hub].shape, parts)
 
@@ -179,6 +183,20 @@ def _rough_columns(
     low, high = np.minimum(seen[:, :-1], seen[:, 1:]), np.maximum(seen[:, :-1], seen[:, 1:])
     between = np.searchsorted(other, high, "right") > np.searchsorted(other, low, "left")
     return np.union1d(own, np.flatnonzero(between.any(axis=0)) + 0.5)
+
+
+def _spacing_over_bends(mapping: Mapping, shape: tuple[int, int], rough: Array) -> int:
+    """Columns apart at which a map is evaluated so that it is straight between them, where lines bend too."""
+    step = max(min(BEND_COLUMNS, (shape[1] - 1) // 8), 1)
+    columns = np.arange(0.0, shape[1], step)
+    smooth = np.ones(max(len(columns) - 2, 0), dtype=bool)
+    for column in rough:  # steps are no bends: about them the map is evaluated often anyway
+        smooth &= np.abs(columns[1:-1] - column) > step
+    seen = mapping(np.linspace(0.0, shape[0] - 1.0, STEP_LINES + 2)[1:-1], columns)
+    bend = np.abs(np.diff(seen, 2, axis=1))[:, smooth] / step**2  # px per column^2
+    most = float(np.max(bend, where=np.isfinite(bend), initial=0.0))
+    # a parabola departs from its chord by an eighth of its second derivative times the square of its length
+    return int(np.clip(np.sqrt(8.0 * STRAIGHT / max(most, 1e-12)), BENT_SPACING, SMOOTH_SPACING))
 
 
 def line_places(camera: MovingCamera, surface: Surface) -> Array | None:

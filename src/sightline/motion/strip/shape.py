@@ -18,12 +18,13 @@ from sightline.estimation.robust import robust_sigmas
 from sightline.geometry.conjugate import predict_match
 from sightline.matching.matches import KEPT
 from sightline.motion.band import Band
+from sightline.motion.measure.plan import LEAST_WIDTH
 from sightline.motion.measure.predict import MovingCamera
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.statics import BEND_DEGREES, band_statics, measure_of_shapes
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.joint import nodes_on
-from sightline.motion.strip.strip import Shapes, Strip
+from sightline.motion.strip.strip import RecoverOptions, Shapes, Strip
 
 Array = NDArray[np.float64]
 
@@ -322,6 +323,19 @@ def with_shapes(strip: Strip, shapes: Shapes) -> Strip:
     for image, shape, columns, _ in shapes:
         bands[image] = replace(bands[image], shape=shape, pieces=columns)
     return replace(strip, bands=tuple(bands), parameters=tuple(band_statics(bands)), shapes=shapes)
+
+
+def windows_over_bends(options: RecoverOptions, bands: Sequence[Band]) -> RecoverOptions:
+    """Options with windows narrow enough to tell the bends of a short line from its turn and its stretch.
+
+    A window sees the mean of a bend over its columns: that of three windows side by side is hardly told from
+    a slope. A width that was asked for stays.
+    """
+    height, width = options.window
+    bent = [band.camera.columns for band in bands if band.shape == "polynomial"]
+    if not bent or width != RecoverOptions().window[1]:
+        return options
+    return replace(options, window=(height, min(width, max(min(bent) // FEW_COLUMNS, LEAST_WIDTH))))
 
 
 def _taken(strip: Strip, image: int, shape: str, columns: tuple[int, ...], size_px: float) -> str:
