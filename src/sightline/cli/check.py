@@ -49,7 +49,7 @@ def _ended(file: Path, absent: list[str], still: str) -> None:
         raise typer.Exit(1)
     if absent:
         more = f" (and {len(absent) - 1} more images)" if len(absent) > 1 else ""
-        complain("error", f"{absent[0]}{more}")
+        complain("error", f"{file}: {absent[0]}{more}")
         raise typer.Exit(1)
 
 
