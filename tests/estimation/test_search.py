@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import toeplitz
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import NoiseModel, Search, descend_within
+from sightline.estimation.search import NoiseModel, Search, _mean_hidden, descend_within
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, COUNT, TDI, SIGMA = 1e-3, 800, 8e-3, 0.02
@@ -157,6 +157,21 @@ def test_products_of_a_hidden_mode_are_as_large_as_the_third_moment_makes_them()
     at_45 = np.abs(np.mean(shift * np.exp(-2j * np.pi * 45.0 * t))) * np.sqrt(2.0) / np.sinc(45.0 * whole)
     (there,) = (tone.sigma for tone in made if abs(tone.frequency - 45.0) < 0.1)
     assert there == pytest.approx(at_45, rel=0.02)
+
+
+def test_a_mode_of_which_others_may_undo_what_shows_is_owned_though_rows_show_nothing() -> None:
+    # rows that would show 30 times their noise show none of it: no mode, unless another's work cancels it
+    mean, count = np.full(9, 2.0), np.where(np.arange(9) == 4, 3.0, 1e-9)
+    expected = []
+    for doubt in (0.0, 0.7):
+        variance, _ = _mean_hidden(mean, count, np.zeros(9), np.full(9, 15.0), np.full(9, doubt))
+        expected.append(variance[4] / 2.0)
+    # without doubt: the mean of v by exp(-v) / (1 + 30 v), beside a third for none
+    v = (np.arange(200000) + 0.5) / 20000.0
+    likelihood = np.exp(-v) / (1.0 + 30.0 * v)
+    alone = (likelihood @ v) / (20000.0 / 3.0 + likelihood.sum())
+    assert expected[0] == pytest.approx(alone, rel=0.05)
+    assert 1.5 * expected[0] < expected[1] < 3.0 / 4.0  # never more than that one is there at all
 
 
 def test_the_scale_of_the_noise_stays_within_its_bounds() -> None:

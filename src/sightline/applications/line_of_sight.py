@@ -47,6 +47,7 @@ from sightline.motion.strip.estimate import (
     StripState,
     initial_attitude,
     solve_strip,
+    with_blur_errors,
 )
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hyper import KnownContent, PriorModel, fit_prior_model
@@ -72,9 +73,9 @@ from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
     turned_band,
     turned_directions,
+    turned_errors,
     turned_spectra,
     turned_star,
-    turned_tones,
 )
 from sightline.motion.strip.warnings import (
     control_warnings,
@@ -613,7 +614,8 @@ def _result(
     between = np.zeros((len(t), 3, 3))
     for axis, spectrum in enumerate(state.model.spectra):
         between[:, axis, axis] = variance_between_nodes(spectrum, strip.grid, t)
-    unseen = turn @ np.diag(state.model.unseen_variance) @ turn.T
+    model = with_blur_errors(strip, state)
+    unseen = turn @ np.diag(model.unseen_variance) @ turn.T
     covariance += turn @ between @ turn.T + unseen
     motion = Motion(t, angles_at(estimate, t) @ turn.T, covariance)
     statics = tuple(
@@ -635,7 +637,7 @@ def _result(
         half_field=strip.half_field,
         statics=statics,
         spectra=strip.known.spectra or turned_spectra(state.model.whole(), turn),
-        intermodulation=turned_tones(state.model.products, turn),
+        intermodulation=turned_errors(model.products, turn),
         records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in records),
         before_px=state.before_px,
         after_px=state.post_px,
@@ -646,7 +648,7 @@ def _result(
         band=TimeCovariance(
             strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
         ),
-        functional_covariance=partial(_functionals, estimate, state.model, t, turn),
+        functional_covariance=partial(_functionals, estimate, model, t, turn),
         relief=_relief(strip, state),
         lines=lines,
         warnings=strip_warnings(

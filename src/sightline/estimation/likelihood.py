@@ -103,7 +103,7 @@ def fit_spectrum(
     possible: Sequence[Tone] = (),
     corner: float | None = None,
     detail: float = 0.0,
-    elsewhere: Sequence[float] = (),
+    elsewhere: Sequence[tuple[float, float]] = (),
     motion: tuple[Array, Array] | None = None,
     rate_seen: bool = False,
     settled: float = SETTLED,
@@ -150,8 +150,8 @@ def fit_spectrum(
     detail : float
         Mean square of the (angular) frequencies that matches weigh, per unit squared of the series; for
         what TDI hides.
-    elsewhere : sequence of float
-        Hz; modes of other axes that shine through what TDI hides.
+    elsewhere : sequence of (float, float)
+        Hz, and odds that this axis has it: modes of other axes that shine through what TDI hides.
     motion : ((M,), (M,)), optional
         Instants (s) and the motion there as it was estimated before: its even rate over the data is known.
         Needed where lags follow the motion. The ground that a line scans moves by the rate of the scan less

@@ -68,6 +68,10 @@ CREST = 8
 HIDDEN_TO, MOST_HIDDEN, LEAST_LEFT = 4.0, 600, 5e-3
 #: Stages by which the mean over all is taken.
 STAGES = 32
+#: A complex Gaussian of unit variance, in equally likely parts.
+_DRAWS = np.outer(
+    np.sqrt(-np.log1p(-(np.arange(4) + 0.5) / 4.0)), np.exp(2j * math.pi * (np.arange(6) + 0.5) / 6.0)
+).ravel()
 #: A sigma holds in .683 of all cases: modes that are there more seldom than in the others are not owned.
 SELDOM = 0.317
 #: Modes of less than this share of the usual strength do not count.
@@ -636,14 +640,14 @@ class Search:
         return min(1.0 / self._length, WIDEST * frequency)
 
     def hidden_tones(
-        self, model: NoiseModel, elsewhere: Sequence[float] = ()
+        self, model: NoiseModel, elsewhere: Sequence[tuple[float, float]] = ()
     ) -> tuple[tuple[Tone, ...], tuple[float, ...]]:
         """What the motion is to be expected to hold where TDI, or coarse lines, average it away: wide tones.
 
         One for each stretch of frequencies.
 
         With the frequency (Hz) of a mode that certainly shines through, if any; `elsewhere` are those of
-        other axes, which this one is as likely to have as not.
+        other axes, each with the odds that this one has it too.
 
         Notes
         -----
@@ -694,21 +698,22 @@ class Search:
             gains, _, informations = self._exact_gain(now, now.score, near)
             best = int(np.argmax(gains))
             gain[k], information[k], exact[k] = gains[best], informations[best], near[best]
-        modelled = np.maximum(left_by_tdi(exact, self._tdi), LEAST_LEFT)
-        information *= (self._shown(exact, modes, sizes) / modelled * self._least_shown(exact)) ** 2
+        shown, doubt = self._shown(exact, modes, sizes)
+        information *= (np.hypot(shown, doubt) * self._least_shown(exact)) ** 2
+        doubt = doubt / np.maximum(np.hypot(shown, doubt), 1e-12)
         number = density * cell * stride
         # what shows at one frequency shows at its aliases, though a mode there would be smaller and rarer
         plain = strong[left_by_tdi(strong, self._tdi) >= SEEN_PLAINLY]
         mixed = _combined(plain, exact, 1.0 / self._length)
-        _, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
+        _, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information, doubt)
         strongest = int(np.argmax(np.where(mixed | ~within, -math.inf, likely)))
         certain = gain[strongest] > gain_of_chance(top * self._length, HARDLY_CHANCE)
         through = (float(exact[strongest]),) if certain and not mixed[strongest] else ()
         mixed |= _combined(np.append(plain if through else strong, through), exact, 1.0 / self._length)
         gain[mixed] = information[mixed] = 0.0
-        for place in elsewhere:
-            number[int(np.argmin(np.abs(exact - place)))] = 1.0
-        expected, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
+        for place, odds in elsewhere:
+            number[int(np.argmin(np.abs(exact - place)))] = odds
+        expected, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information, doubt)
         odds = max(number[hidden].sum(), np.exp(likely[hidden]).sum())
         if odds < SELDOM / (1.0 - SELDOM):
             return (), through
@@ -737,8 +742,10 @@ class Search:
                 model = fewer
         return model
 
-    def _shown(self, f: Array, modes: Array, sizes: Array) -> Array:
-        """Share of a tone at `f` (Hz) that matches show beside modes of a variance of `sizes`.
+    def _shown(self, f: Array, modes: Array, sizes: Array) -> tuple[Array, Array]:
+        """How much of a tone at `f` (Hz) matches show beside modes of a variance of `sizes`, over its mean.
+
+        And how much of that, in any phase, modes of the other axes may add.
 
         Notes
         -----
@@ -747,15 +754,20 @@ class Search:
         ``size (1 + c**2 - 2 c cos(w s))`` where c is what the stages leave of a mode, counts less than of
         the mean stage. (A third of the third moment's slope, which `motion.measure.uneven_blur` takes off.)
         """
-        shares = []
+        seen, sight, beyond = np.zeros(len(f)), np.zeros(len(f)), np.zeros(len(f))
         for whole in self._tdi:
-            shown = np.sinc(f * whole)
+            left = np.sinc(f * whole)
+            extra = np.zeros(len(f))
             for mode, size in zip(modes, sizes, strict=True):
                 c = float(np.sinc(mode * whole))
                 beside = np.sinc((f + mode) * whole) + np.sinc((f - mode) * whole)
-                shown = shown - 0.5 * self._detail * size * c * (2.0 * c * np.sinc(f * whole) - beside)
-            shares.append(np.abs(shown))
-        return np.asarray(np.max(shares, axis=0))
+                extra -= 0.5 * self._detail * size * c * (2.0 * c * left - beside)
+            # what rows of other stages show the other way round is taken for less of it
+            taken = np.where(np.abs(left) < LEAST_LEFT, np.copysign(LEAST_LEFT, left), left)
+            seen += taken * (left + extra)
+            sight += taken * taken
+            beyond += (taken * extra) ** 2
+        return np.abs(seen) / sight, np.sqrt(beyond) / sight
 
     def _seen_modes(self, model: NoiseModel) -> Array:
         """Hz; tones of the model of which the stages leave enough."""
@@ -1000,18 +1012,25 @@ def _combined(modes: Array, f: Array, apart: float) -> NDArray[np.bool_]:
     return np.asarray(np.abs(f[:, None] - products).min(axis=1) < apart)
 
 
-def _mean_hidden(mean: Array, count: Array, gain: Array, per_variance: Array) -> tuple[Array, Array]:
+def _mean_hidden(
+    mean: Array, count: Array, gain: Array, per_variance: Array, doubt: Array
+) -> tuple[Array, Array]:
     """Mean variance at frequencies half the resolution apart, of tones of which `count` lie at each.
 
     And the logarithm of how likely one lies there, beside none. Beforehand the variance v of a tone is
     exponential of a `mean`; a gain is exponential of mean 1 + v times `per_variance`: that of a tone whose
-    phase is drawn, and as wide as what is known of the share that is seen. What one tone shows at its
-    neighbours is not another.
+    phase is drawn. A part `doubt` of what is seen is the work of others, of any phase. What one tone shows at
+    its neighbours is not another.
     """
     share = (np.arange(200) + 0.5) / 20.0  # of the mean
     variance = mean[:, None] * share
-    seen = 1.0 + per_variance[:, None] * variance
-    log_weight = gain[:, None] * (1.0 - 1.0 / seen) - np.log(seen) - share
+    log_weight = np.full(variance.shape, -math.inf)
+    for draw in _DRAWS:
+        power = np.abs(np.sqrt(np.maximum(1.0 - doubt**2, 0.0)) + doubt * draw) ** 2
+        seen = 1.0 + (power * per_variance)[:, None] * variance
+        one = gain[:, None] * (1.0 - 1.0 / seen) - np.log(seen)
+        log_weight = np.logaddexp(log_weight, one - math.log(len(_DRAWS)))
+    log_weight -= share
     with np.errstate(divide="ignore"):
         log_weight += np.log(count / 20.0)[:, None]
     top = max(float(log_weight.max(initial=0.0)), 0.0)

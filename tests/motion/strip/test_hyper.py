@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from motion.strips import IFOV, plain_star
 from sightline.errors import EstimationError
-from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.strip import hyper
 from sightline.motion.strip.hyper import (
@@ -398,3 +398,27 @@ def test_weighted_sums_at_uneven_lines_own_what_is_hidden_at_their_times() -> No
     dense = Spectrum((tone,)).autocovariance(np.abs(np.subtract.outer(t, t)).ravel()).reshape(count, count)
     expected = weights[:, 0].T @ dense @ weights[:, 0]
     assert_allclose(found, expected, atol=0.01 * expected.max())
+
+
+def test_odds_that_axes_share_a_mode_are_those_of_their_other_modes() -> None:
+    # of two modes both, one or none are shared: rule of succession (k + 1) / (n + 2), as odds 3, 1 and 1/3
+    def spectrum(*tones: float) -> Spectrum:
+        return Spectrum((Matern(1.0, 1.0, "5/2"), *(Tone(0.1, f, 0.1) for f in tones)))
+
+    other = spectrum(47.0, 83.0)
+    found = [hyper._odds_of_sharing(spectrum(*own), other, 1.0) for own in ((47.2, 83.0), (83.9,), (60.0,))]
+    assert_allclose(found, [3.0, 1.0, 1.0 / 3.0])
+
+
+def test_errors_of_a_given_density_are_owned_and_no_motion() -> None:
+    # 2 px^2/Hz between 40 and 50 Hz: 20 px^2, about one over 10 Hz long
+    band = TabulatedPsd((40.0, 50.0), (2.0, 2.0))
+    model = hyper.BROAD.with_errors([None, band, None])
+    assert model.whole() == hyper.BROAD.whole()
+    assert_allclose(model.unseen_variance, [0.0, 20.0, 0.0])
+    weights = np.zeros((400, 3, 1))
+    weights[[0, 22], 1, 0] = 1.0, 1.0  # a period of 45 Hz apart
+    (found,) = model.unseen_functionals(1e-3 * np.arange(400), weights)[0]
+    apart = 0.022
+    tone = np.sinc(10.0 * apart) * np.cos(2.0 * np.pi * 45.0 * apart)
+    assert_allclose(found, 2.0 * 20.0 * (1.0 + tone), rtol=1e-6)

@@ -524,3 +524,17 @@ def test_the_information_of_stretched_rows_is_that_of_what_they_read(relief: boo
     along, across = data.times(nodes.ravel())
     found = nodes.ravel() @ along + 2.0 * statics @ across + statics @ data.corner @ statics
     np.testing.assert_allclose(found, want, rtol=1e-6)
+
+
+def test_the_motion_moves_by_what_more_in_the_measurements_moves_it() -> None:
+    star, grid = small_star(), TimeGrid(-0.05, STEP, COUNT)
+    orders = ordered_ground([star.t_hub[star.present.any(axis=1)]], [0.0], grid)
+    prior, _ = make_prior(False)
+    more = 0.03 * np.random.default_rng(4).standard_normal(star.residual_px.shape)
+    estimates = []
+    for measured in (star.residual_px, star.residual_px + more):
+        estimates.append(solve_joint(normal_equations([star], [measured], grid, orders=orders), prior))
+    moved = estimates[0].moved_by(normal_equations([star], [more], grid, orders=orders))
+    difference = estimates[1].nodes - estimates[0].nodes
+    # both are sums over the same rows, of some hundred terms
+    np.testing.assert_allclose(moved, difference, rtol=0, atol=1e-8 * np.abs(difference).max())

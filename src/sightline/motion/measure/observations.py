@@ -68,6 +68,8 @@ class Star:
         Of the brightest part of each window in the hub, in units of the image.
     window : (lines, columns), optional
         Size of the windows, px.
+    blur_px : (G, K, 2), optional
+        px; what was taken off `residual_px` for jitter within the stages of TDI; None: no band has TDI.
     """
 
     hub: int
@@ -93,6 +95,7 @@ class Star:
     fineness: tuple[float, ...] = ()
     tdi_hub: Array | None = None
     tdi: Array | None = None
+    blur_px: Array | None = None
 
     @property
     def longest(self) -> float:

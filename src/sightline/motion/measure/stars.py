@@ -184,9 +184,13 @@ class _Moves:
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """What one partner says: residual (G, 2) px, its covariance (G, 2, 2), status and score (G,)."""
+    """What one partner says: residual (G, 2) px, its covariance (G, 2, 2), status and score (G,).
+
+    `blur` (G, 2) px is what was taken off for jitter within the stages of TDI.
+    """
 
     residual: Array
+    blur: Array
     covariance: Array
     status: NDArray[np.uint8]
     score: Array
@@ -248,6 +252,7 @@ def match_star(
         coarseness=ratio[0],
         fineness=fineness(cameras, hub, partners),
         residual_px=np.stack([one.residual for one in measured], axis=1),
+        blur_px=None if tdi is None else np.stack([one.blur for one in measured], axis=1),
         covariance_px=np.stack([one.covariance for one in measured], axis=1),
         by_hub=moves.by_hub,
         by_partner=moves.by_partner,
@@ -358,8 +363,9 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
         fold = matched(laid, own=own)
         folded, unknown = folding(shift, fold.b[good] - fold.a[good], fold.kept[good], grid.centres[good, 0])
         shift, uncertain = shift - folded, uncertain + unknown
+    blurred = np.zeros(shift.shape)
     if not strips.searched:
-        shift = shift - displacement(
+        blurred = displacement(
             cameras,
             (hub, partner.image),
             (grid.centres[good], predicted.b[good]),
@@ -369,7 +375,9 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
             partner.whitening,
         )
     residual, covariance = np.full((len(good), 2), np.nan), np.tile(np.eye(2), (len(good), 1, 1))
-    residual[good] = np.einsum("nij,nj->ni", turn, shift)
+    residual[good] = np.einsum("nij,nj->ni", turn, shift - blurred)
+    blur = np.zeros((len(good), 2))
+    blur[good] = np.einsum("nij,nj->ni", turn, blurred)
     covariance[good] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
     if plan.weighting != "covariance" and good.any():
         mean = 0.5 * np.einsum("nii->n", covariance[good]).mean()
@@ -378,7 +386,7 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
     # a window lies in the image up to half a pixel beyond its rim
     beyond = ~within(predicted.b, strips.images[partner.image].shape, np.array(partner.size) / 2.0 - 1.0)
     status = np.where(beyond & (matches.status == MASKED), np.uint8(OUTSIDE), matches.status)
-    return _Measured(residual, covariance, status, matches.score)
+    return _Measured(residual, blur, covariance, status, matches.score)
 
 
 def _both_ways(

@@ -19,7 +19,7 @@ from scipy.linalg import matmul_toeplitz
 
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
-from sightline.estimation.prior import Autoregressive, Matern, Spectrum, Tone
+from sightline.estimation.prior import Autoregressive, Matern, Spectrum, TabulatedPsd, Tone
 from sightline.estimation.search import SETTLED
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
@@ -84,7 +84,7 @@ class PriorModel:
     spectra: tuple[Spectrum, Spectrum, Spectrum]
     noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     unseen: tuple[tuple[Tone, ...], ...] = ((), (), ())
-    products: tuple[tuple[Tone, ...], ...] = ((), (), ())
+    products: tuple[tuple[Tone | TabulatedPsd, ...], ...] = ((), (), ())
 
     def whole(self) -> tuple[Spectrum, Spectrum, Spectrum]:
         """The spectra with what TDI averages away."""
@@ -95,7 +95,7 @@ class PriorModel:
         return roll, pitch, yaw
 
     @property
-    def unestimated(self) -> tuple[tuple[Tone, ...], ...]:
+    def unestimated(self) -> tuple[tuple[Tone | TabulatedPsd, ...], ...]:
         """Errors of every estimate, per axis: what TDI averages away, and its products."""
         return tuple((*hidden, *made) for hidden, made in zip(self.unseen, self.products, strict=True))
 
@@ -114,6 +114,11 @@ class PriorModel:
                 lags = Spectrum(tones).autocovariance(t - t[0])
                 out += weights[:, axis].T @ matmul_toeplitz(lags, weights[:, axis])
         return out
+
+    def with_errors(self, more: Sequence[TabulatedPsd | None]) -> PriorModel:
+        """The model with a further error of every estimate of roll, pitch, yaw (rad^2/Hz), or none."""
+        both = zip(self.products, more, strict=True)
+        return replace(self, products=tuple(own if one is None else (*own, one) for own, one in both))
 
     def grown(self, correlation: Array) -> Array:
         """Error correlation (2K, 2K) of a star scaled along lines (pitch, yaw) and columns (roll)."""
@@ -488,7 +493,7 @@ def fit_prior_model(
         begin: Spectrum | None = None,
         possible: Sequence[Tone] = (),
         corner: float | None = None,
-        elsewhere: Sequence[float] = (),
+        elsewhere: Sequence[tuple[float, float]] = (),
         usual: Spectrum | None = None,
     ) -> FittedSpectrum:
         series = [d.of_axis(axis) for d in differences]
@@ -528,7 +533,11 @@ def fit_prior_model(
     best = int(np.argmax(own))
 
     def shared(axis: int) -> FittedSpectrum:
-        through = () if first[axis].through else [f for one in first for f in one.through]
+        through = [
+            (f, _odds_of_sharing(spectra[axis], one.spectrum, SAME_TONE / length))
+            for one in first
+            for f in (() if first[axis].through else one.through)
+        ]
         usual = across if axis == YAW else None
         # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
         if usual is None and own[axis] < LITTLE_OWN:
@@ -571,6 +580,12 @@ def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> li
             elif not near and all(abs(tone.frequency - one.frequency) > apart for one in own):
                 out.append(replace(tone, sigma=size))
     return out
+
+
+def _odds_of_sharing(own: Spectrum, other: Spectrum, apart: float) -> float:
+    """Odds that an axis has a further mode of another, by how many of its tones it has (Laplace's rule)."""
+    shared = sum(any(abs(a.frequency - b.frequency) <= apart for a in own.tones) for b in other.tones)
+    return (shared + 1.0) / (len(other.tones) - shared + 1.0)
 
 
 def _share(own: Sequence[Tone], others: Sequence[Tone], apart: float) -> float | None:

@@ -227,6 +227,17 @@ class JointEstimate:
         """Node values with relief where there is any, (count, 3 or 5)."""
         return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
 
+    def moved_by(self, images: NormalEquations) -> Array:
+        """(count, 3) rad; by how much the motion would be another with so much more in its measurements.
+
+        `images` are the normal equations of the same rows with that on their left side.
+        """
+        factor = self._factor(constants=True)
+        more = factor.border_covariance.shape[0] - len(images.rhs_static)
+        x, y = factor.solve(images.rhs, np.concatenate([images.rhs_static, np.zeros(more)]))
+        x, _ = _held(factor, self._data, self._prior, x, y)
+        return np.asarray(x.reshape(self.grid.count, -1)[:, :3])
+
     def relief_sigma(self) -> Array:
         """Sigma (count, 2) m of the relief, constants of the motion held."""
         block = self._data.block

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.estimation.prior import Spectrum, Tone
+from sightline.estimation.prior import Spectrum, TabulatedPsd, Tone
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.pointing import pointing_matrices, turned_pointing
 from sightline.motion.measure.common_view import Views, usable
@@ -116,17 +116,19 @@ def turned_spectra(
     return out[0], out[1], out[2]
 
 
-def turned_tones(tones: Sequence[Sequence[Tone]], turn: Array) -> tuple[Spectrum | None, ...]:
-    """Tones of the three angles, independent, in the axes that `turn` leads to; None where there are none."""
+def turned_errors(
+    errors: Sequence[Sequence[Tone | TabulatedPsd]], turn: Array
+) -> tuple[Spectrum | None, ...]:
+    """Errors of the three angles, independent, in the axes that `turn` leads to; None where none are."""
     out = []
     for row in turn:
-        turned = [
-            replace(tone, sigma=tone.sigma * abs(float(w)))
-            for own, w in zip(tones, row, strict=True)
-            for tone in own
-            if abs(w) > 1e-6
+        parts = [
+            c
+            for own, w in zip(errors, row, strict=True)
+            if own and abs(w) > 1e-6
+            for c in Spectrum(tuple(own)).scaled(abs(float(w))).components
         ]
-        out.append(Spectrum(tuple(turned)) if turned else None)
+        out.append(Spectrum(tuple(parts)) if parts else None)
     return tuple(out)
 
 
