@@ -530,7 +530,7 @@ def test_the_motion_moves_by_what_more_in_the_measurements_moves_it() -> None:
     star, grid = small_star(), TimeGrid(-0.05, STEP, COUNT)
     orders = ordered_ground([star.t_hub[star.present.any(axis=1)]], [0.0], grid)
     prior, _ = make_prior(False)
-    more = 0.03 * np.random.default_rng(4).standard_normal(star.residual_px.shape)
+    more = 0.03 * np.random.default_rng(4).standard_normal(star.residual_px.shape) + 0.0 * star.residual_px
     estimates = []
     for measured in (star.residual_px, star.residual_px + more):
         estimates.append(solve_joint(normal_equations([star], [measured], grid, orders=orders), prior))

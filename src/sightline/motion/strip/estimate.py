@@ -260,8 +260,10 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
     spectrum times the square of that is the error's.
     """
     stars, estimate = [r.star for r in state.records], state.estimate
-    blurs = [np.zeros_like(s.residual_px) if s.blur_px is None else s.blur_px for s in stars]
-    if not any(b.any() for b in blurs):
+    blurs = [
+        np.where(np.isfinite(s.residual_px), 0.0 if s.blur_px is None else s.blur_px, np.nan) for s in stars
+    ]
+    if not any(np.nan_to_num(b).any() for b in blurs):
         return state.model
     orders, relief = _ground_orders(strip, stars), estimate.relief is not None
     directions = estimate.hidden_directions(estimate.hidden_drifts)
