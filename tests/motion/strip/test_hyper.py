@@ -13,6 +13,7 @@ from motion.strips import IFOV, plain_star
 from sightline.errors import EstimationError
 from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
 from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.strip import estimate as estimates
 from sightline.motion.strip import hyper
 from sightline.motion.strip.hyper import (
     BROAD,
@@ -422,3 +423,30 @@ def test_errors_of_a_given_density_are_owned_and_no_motion() -> None:
     apart = 0.022
     tone = np.sinc(10.0 * apart) * np.cos(2.0 * np.pi * 45.0 * apart)
     assert_allclose(found, 2.0 * 20.0 * (1.0 + tone), rtol=1e-6)
+
+
+def test_blur_that_is_taken_off_is_doubted_by_the_motion_that_it_would_be(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    # blur that shifts windows as a pitch of 2 px at 40 Hz does: the motion would be that pitch; .15 of it,
+    # .212 px rms, is not known; of roll and yaw nothing
+    star = plain_star(220, 8, 2, 1e-4)
+    f, size = 40.0, 2.0 * IFOV
+    motion = [size * np.sin(2.0 * np.pi * f * t)[..., None] for t in (star.t, star.t_hub[:, None])]
+    blur = star.by_partner[..., 1] * motion[0] + star.by_hub[..., 1] * motion[1]
+    estimate = estimate_of(star, still)
+    orders = [GroundOrder()]
+    monkeypatch.setattr(estimates, "_ground_orders", lambda strip, stars: orders)
+    strip = SimpleNamespace(grid=estimate.grid, scale=np.full(3, IFOV))
+    records = [SimpleNamespace(star=replace(star, blur_px=blur))]
+    state = SimpleNamespace(records=records, estimate=estimate, slow=None, model=hyper.BROAD)
+    model = estimates.with_blur_errors(strip, state)
+    roll, pitch, yaw = np.sqrt(model.unseen_variance) / IFOV
+    assert pitch == pytest.approx(0.15 * 2.0 / np.sqrt(2.0), rel=0.1)
+    assert roll < 0.02 and yaw < 0.02
+    (part,) = model.products[1]
+    near = np.abs(np.array(part.frequency) - f) < 5.0
+    assert np.array(part.density)[near].sum() > 0.95 * np.sum(part.density)
+    without = [SimpleNamespace(star=star)]
+    assert (
+        estimates.with_blur_errors(strip, SimpleNamespace(**{**vars(state), "records": without}))
+        == hyper.BROAD
+    )

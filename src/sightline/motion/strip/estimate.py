@@ -266,14 +266,18 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
     if not any(np.nan_to_num(b).any() for b in blurs):
         return state.model
     orders, relief = _ground_orders(strip, stars), estimate.relief is not None
-    directions = estimate.hidden_directions(estimate.hidden_drifts)
+    # beyond the windows a motion is what its neighbours make of it
+    times = np.concatenate([t[s.present] for s in stars for t in (s.t, s.t_hub[:, None] + 0.0 * s.t)])
+    nodes = strip.grid.nodes
+    inside = (nodes >= times.min()) & (nodes <= times.max())
+    directions = estimate.hidden_directions(estimate.hidden_drifts)[inside]
     moved_psd = []
     for component in np.eye(2):
         data = normal_equations(
             stars, [b * component for b in blurs], strip.grid, orders=orders, relief=relief, slow=state.slow
         )
-        moved = less_directions(estimate.moved_by(data), directions, strip.scale)
-        found = spectrum(Motion(strip.grid.nodes, moved))
+        moved = less_directions(estimate.moved_by(data)[inside], directions, strip.scale)
+        found = spectrum(Motion(nodes[inside], moved))
         moved_psd.append(found.psd)
     density = BLUR_ERROR**2 * (moved_psd[0] + moved_psd[1])
     return state.model.with_errors([_lines(found.frequency, one) for one in density.T])
