@@ -256,11 +256,7 @@ def joint_line_of_sight(
     names += [_WHOLE] * wide + [_GIVEN] * (strip.known.spectra is not None)
     passed = _resumed(stages, names)
     if passed is None:
-        begun = _begin(draft, options, height_sigma, tell)
-        shapes = _found_shapes(draft, begun, options, tell)
-        if shapes:
-            begun = _begin(with_shapes(draft, shapes), options, height_sigma, tell)
-        passed = _kept(stages, names, _Passed(names[0], begun, shapes=shapes))
+        passed = _kept(stages, names, _begun(draft, options, height_sigma, tell, names[0]))
     strip, draft = with_shapes(strip, passed.shapes), with_shapes(draft, passed.shapes)
     options = windows_over_bends(options, strip.bands)
     while len(passed.changes) < options.passes:
@@ -334,7 +330,13 @@ def _light(state: StripState) -> StripState:
     for record in state.records:
         star = replace(record.star, by_hub=none, by_partner=none, by_static=none)
         records.append(replace(record, star=star))
-    return replace(state, records=tuple(records), with_relief_px=(), before_px=())
+    return replace(
+        state,
+        estimate=state.estimate.alone(),
+        records=tuple(records),
+        with_relief_px=(),
+        before_px=(),
+    )
 
 
 def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:
@@ -343,6 +345,15 @@ def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:
     window, search = options.first_window, options.search_px
     allowed = set(strip.views)
     return best_first(pair_correlations(images, strip.nominal, strip.surface, window, search, allowed))
+
+
+def _begun(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress, name: str) -> _Passed:
+    """The first state, with the shapes of detector lines that it shows."""
+    state = _begin(strip, options, height_sigma, tell)
+    shapes = _found_shapes(strip, state, options, tell)
+    if shapes:
+        state = _begin(with_shapes(strip, shapes), options, height_sigma, tell)
+    return _Passed(name, state, shapes=shapes)
 
 
 def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> StripState:
@@ -496,10 +507,9 @@ def _compensated_pass(
     )
     if solved.prior.relief is not None:
         model = model.beside_relief(strip.grid.step * strip.grid.count)
-    rounds = DRAFT_ROUNDS if strip.draft else ROUNDS
-    return solve_strip(
-        strip, solved.records, nodes, statics, model, height_sigma, before=state, rounds=rounds
-    )
+    rounds, records = DRAFT_ROUNDS if strip.draft else ROUNDS, solved.records
+    del solved  # long strips hold one solution at a time
+    return solve_strip(strip, records, nodes, statics, model, height_sigma, before=state, rounds=rounds)
 
 
 def _some_left(strip: Strip, state: StripState, records: Sequence[StarRecord]) -> None:
@@ -624,7 +634,12 @@ def _result(
     )
     observed = observed_lines(strip, state, t) if fit is None else controlled_lines(strip, fit, t)
     cameras = tuple(strip.body_cameras(estimate.nodes, estimate.statics))
-    records = [replace(r, star=turned_star(r.star, turn)) for r in state.records]
+    records = tuple(
+        without_common_ground(replace(r, star=turned_star(r.star, turn)), cameras, strip.surface, window)
+        for r in state.records
+    )
+    for camera in cameras:
+        camera.forget()
     return LineOfSight(
         motion=motion,
         absolute_sigma=np.sqrt(estimate.absolute_sigma(t, turn) ** 2 + np.diag(unseen)),
@@ -638,7 +653,7 @@ def _result(
         statics=statics,
         spectra=strip.known.spectra or turned_spectra(state.model.whole(), turn),
         intermodulation=turned_errors(model.products, turn),
-        records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in records),
+        records=records,
         before_px=state.before_px,
         after_px=state.post_px,
         cameras=cameras,

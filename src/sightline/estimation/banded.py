@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 #: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
-PIECE_BYTES, HELD_BYTES = 12_000_000, 24_000_000
+PIECE_BYTES, HELD_BYTES = 12_000_000, 12_000_000
 #: Right sides from which on one sweep over the factor for all of them beats one sweep each (LAPACK's way).
 SWEEP_COLUMNS = 8
 

@@ -512,6 +512,11 @@ class PushbroomCamera(ReadOnlyArrays):
             out[better], least[better] = pixels[better], apart[better]
         return out
 
+    def forget(self) -> None:
+        """Give back the poses of all lines that are kept for speed; they are found again when needed."""
+        for kept in ("_table", "_parts"):
+            self.__dict__.pop(kept, None)
+
     def with_trajectory(self, trajectory: Trajectory) -> PushbroomCamera:
         """The same camera carried along another trajectory."""
         return replace(self, trajectory=trajectory)

@@ -118,4 +118,5 @@ class PoseTable(ReadOnlyArrays):
         if len(rows) < POINTS:
             nodes, places = np.arange(float(len(rows))), np.arange(float(POINTS))
             rows = interpolate(read_only(nodes), read_only(rows), read_only(places))
+        rows.setflags(write=False)  # nobody else has it: not copied
         return cls(first, first + len(t) - 1, frozen(rows), frozen(origin))

@@ -154,6 +154,8 @@ def solve_strip(
     stars = [r.star for r in records]
     measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
     orders = _ground_orders(strip, stars)
+    for camera in strip.nominal:
+        camera.forget()
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
     settled = model is not strip.broad
@@ -223,6 +225,7 @@ def solve_strip(
         if settled and jumps:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
         earlier = post
+        del estimate, without  # long strips hold one solution at a time
         estimate, post, without = solution()
         same = _same_jumps(jumped, prior.innovation_weights) and _same_sizes(unlearned, slow)
         if same and _moved(stars, earlier, post) < STILL:

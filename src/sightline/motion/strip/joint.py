@@ -23,7 +23,7 @@ from sightline.estimation.banded import BandedFactor, BorderedFactor, add_band_t
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
 from sightline.motion.strip.fusion import Ties, add_ties
-from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid
+from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid, no_information
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -200,6 +200,10 @@ class JointEstimate:
     def __getstate__(self) -> dict[str, Any]:
         """Without the factors, which are made when they are asked for."""
         return {one.name: getattr(self, one.name) for one in fields(self)}
+
+    def alone(self) -> JointEstimate:
+        """The same values without the equations that they solve: no covariance can be asked of it."""
+        return replace(self, _images=no_information(self.grid, 0))
 
     @cached_property
     def _data(self) -> NormalEquations:

@@ -33,6 +33,8 @@ TAPS = 4
 #: Patches, and rows of windows, that are summed by one thread at a time; rows where errors that wander are
 #: unknowns, of which those near by are all that a part has.
 PART_PATCHES, PART_ROWS, SLOW_ROWS = 16384, 512, 64
+#: Bytes of the bands of parts that are summed at a time, one part at least.
+AT_ONCE_BYTES = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -585,15 +587,16 @@ def normal_equations(
         for part in _parts(star, PART_ROWS if slow is None else SLOW_ROWS)
     ]
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
-    at_once = available_processors()
+    at_once = _at_once(pieces, grid, block, width)
     for begin in range(0, len(pieces), at_once):
         for sums in in_threads(
             lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + at_once]
         ):
-            here = slice(sums.first, sums.first + len(sums.rhs))
-            ab.add(sums.first, sums.ab)
-            border[here, sums.beside] += sums.border
-            rhs[here] += sums.rhs
+            for one in sums.stretches:
+                here = slice(one.first, one.first + len(one.rhs))
+                ab.add(one.first, one.ab)
+                border[here, sums.beside] += one.border
+                rhs[here] += one.rhs
             corner[np.ix_(sums.beside, sums.beside)] += sums.corner
             rhs_static[sums.beside] += sums.rhs_static
             chi2 += sums.chi2
@@ -610,15 +613,22 @@ def no_information(grid: TimeGrid, statics: int, block: int = 3) -> NormalEquati
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
-    """What some windows add to the equations, from unknown `first` on, and to `beside` of the border."""
+class _Stretch:
+    """What some windows add to the unknowns of the grid from `first` on."""
 
     first: int
-    beside: NDArray[np.intp]
     ab: Array
     border: Array
-    corner: Array
     rhs: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """What some windows add to the equations: stretches of the grid, and `beside` of the border."""
+
+    stretches: list[_Stretch]
+    beside: NDArray[np.intp]
+    corner: Array
     rhs_static: Array
     chi2: float
     rows: int
@@ -644,6 +654,29 @@ class _Piece:
         which = np.concatenate([fixed, len(fixed) + np.arange(near.start, near.stop)])
         return which, np.concatenate([by_static, moved], axis=3)
 
+    def stretches(self, grid: TimeGrid) -> list[tuple[slice, int, int]]:
+        """Rows of windows that reach nodes without a gap between them, and the first and last + 1 of these.
+
+        What a star has left over at either end of a strip would otherwise have a band as long as the strip.
+        """
+        star, blocks, support = self.star, self.star.shape[1], _support(self.star, grid)
+        instants = np.concatenate([star.t_hub[:, None], star.t, np.zeros((len(star.t), 1))], axis=1)[self.part]
+        instants[:, -1] = self.t_ground[self.part]
+        by_row = instants.reshape(-1, blocks * instants.shape[1])
+        reach = 0.5 * star.longest + 4 * grid.step
+        lows = np.floor((np.nanmin(by_row, axis=1) - reach - grid.start) / grid.step).astype(int)
+        highs = np.ceil((np.nanmax(by_row, axis=1) + reach - grid.start) / grid.step).astype(int)
+        ends = [*np.flatnonzero(lows[1:] >= np.maximum.accumulate(highs)[:-1]) + 1, len(lows)]
+        out, begin = [], 0
+        for end in ends:
+            low, high = int(lows[begin:end].min()), int(highs[begin:end].max())
+            # rows at the end of the grid use its last nodes, wherever their instants are
+            low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
+            windows = slice(self.part.start + begin * blocks, self.part.start + end * blocks)
+            out.append((windows, low, high))
+            begin = end
+        return out
+
 
 def _support(star: Star, grid: TimeGrid) -> int:
     """Nodes that a row of a star is interpolated from, at each of its two instants."""
@@ -657,52 +690,55 @@ def _parts(star: Star, most: int = PART_ROWS) -> list[slice]:
     return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
 
 
+def _at_once(pieces: Sequence[_Piece], grid: TimeGrid, block: int, width: int) -> int:
+    """How many pieces are summed at a time: one per processor, as far as their bands have room in memory."""
+    nodes = max((sum(high - low for _, low, high in piece.stretches(grid)) for piece in pieces), default=1)
+    return max(min(available_processors(), AT_ONCE_BYTES // (8 * (width + 1) * block * nodes)), 1)
+
+
 def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
     """Sum one piece on the nodes it reaches, with at most `width` subdiagonals."""
-    star, part = piece.star, piece.part
-    instants = np.concatenate([star.t_hub[part], star.t[part].ravel(), piece.t_ground[part]])
-    reach = 0.5 * star.longest + 4 * grid.step
-    low = math.floor((np.nanmin(instants) - reach - grid.start) / grid.step)
-    high = math.ceil((np.nanmax(instants) + reach - grid.start) / grid.step)
-    # rows at the end of the grid use its last nodes, wherever their instants are
-    support = _support(star, grid)
-    low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
+    star, support = piece.star, _support(piece.star, grid)
     beside, by_static = piece.beside()
-    n, statics = block * (high - low), len(beside)
-    ab = np.zeros((min(width + 1, n), n))
-    border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
-    rhs, rhs_static = np.zeros(n), np.zeros(statics)
+    statics = len(beside)
+    corner, rhs_static = np.zeros((statics, statics)), np.zeros(statics)
     tdi_hub, tdi = star.averaging()
-    chi2, rows = _accumulate(
-        star.t_hub[part],
-        star.t[part],
-        piece.t_ground[part],
-        star.duration,
-        star.duration + star.stretch,
-        tdi_hub[part],
-        tdi[part],
-        support,
-        np.ascontiguousarray(piece.measured[part]),
-        star.covariance_px[part],
-        star.weight[part],
-        star.by_hub[part],
-        star.by_partner[part],
-        by_static,
-        star.by_height[part],
-        star.field[part],
-        star.correlation,
-        block == 5,
-        grid.start,
-        grid.step,
-        grid.count,
-        low,
-        ab,
-        border,
-        corner,
-        rhs,
-        rhs_static,
-    )
-    return _Sums(block * low, beside, ab, border, corner, rhs, rhs_static, chi2, rows)
+    stretches, chi2, rows = [], 0.0, 0
+    for part, low, high in piece.stretches(grid):
+        n = block * (high - low)
+        ab, border, rhs = np.zeros((min(width + 1, n), n)), np.zeros((n, statics)), np.zeros(n)
+        squares, count = _accumulate(
+            star.t_hub[part],
+            star.t[part],
+            piece.t_ground[part],
+            star.duration,
+            star.duration + star.stretch,
+            tdi_hub[part],
+            tdi[part],
+            support,
+            np.ascontiguousarray(piece.measured[part]),
+            star.covariance_px[part],
+            star.weight[part],
+            star.by_hub[part],
+            star.by_partner[part],
+            by_static[part.start - piece.part.start : part.stop - piece.part.start],
+            star.by_height[part],
+            star.field[part],
+            star.correlation,
+            block == 5,
+            grid.start,
+            grid.step,
+            grid.count,
+            low,
+            ab,
+            border,
+            corner,
+            rhs,
+            rhs_static,
+        )
+        stretches.append(_Stretch(block * low, ab, border, rhs))
+        chi2, rows = chi2 + squares, rows + count
+    return _Sums(stretches, beside, corner, rhs_static, chi2, rows)
 
 
 def window_rows(

@@ -134,6 +134,8 @@ def turned_errors(
 
 def turned_star(star: Star, turn: Array) -> Star:
     """A star whose sensitivities are those to the angles in the axes that `turn` leads to."""
+    if np.array_equal(turn, np.eye(3)):
+        return star
     back = turn.T.astype(np.float32)
     return replace(star, by_hub=star.by_hub @ back, by_partner=star.by_partner @ back)
 
