@@ -179,6 +179,22 @@ class TestChanges:
             pushbroom(**options)
 
 
+def test_a_camera_that_forgot_its_poses_finds_the_same_ones_again():
+    camera = PushbroomCamera(
+        LineDetector.from_ifov("pan", 20, 1e-5, 1e-3),
+        Trajectory.level_flight(6e5, 7e3, -1.0, 1.0),
+        FixedMount(),
+        0.0,
+        50,
+    )
+    pixels = np.array([[0.0, 0.0], [20.5, 7.25], [49.0, 19.0]])
+    before, table = camera.locate(pixels, Plane()), camera._table
+    camera.forget()
+    assert "_table" not in vars(camera)
+    np.testing.assert_array_equal(camera.locate(pixels, Plane()), before)
+    assert camera._table is not table
+
+
 class TestFrame:
     def frame(self, **options) -> FrameCamera:
         detector = AreaDetector("frame", (100, 200), 1000.0, (49.5, 99.5), options.pop("distortion", ()))

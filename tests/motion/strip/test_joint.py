@@ -538,3 +538,40 @@ def test_the_motion_moves_by_what_more_in_the_measurements_moves_it() -> None:
     difference = estimates[1].nodes - estimates[0].nodes
     # both are sums over the same rows, of some hundred terms
     np.testing.assert_allclose(moved, difference, rtol=0, atol=1e-8 * np.abs(difference).max())
+
+
+def test_rows_far_apart_add_what_they_add_alone_and_hold_no_band_between_them() -> None:
+    star, many = small_star(), TimeGrid(0.0, STEP, 20 * COUNT)
+    early, late = (slice(0, 6), slice(114, 120))
+    apart = 15.0
+
+    def some(part: slice, later: float) -> Star:
+        names = ("pixels", "residual_px", "covariance_px", "by_hub", "by_partner", "by_static", "by_height")
+        arrays = {name: getattr(star, name)[part] for name in (*names, "field", "weight")}
+        t_hub, t = star.t_hub[part] + later, star.t[part] + later
+        return replace(star, shape=(2, 3), t_hub=t_hub, t=t, **arrays)
+
+    first, last = some(early, 0.0), some(late, apart)
+    both = replace(
+        first,
+        shape=(4, 3),
+        **{
+            name: np.concatenate([getattr(first, name), getattr(last, name)])
+            for name in (
+                "pixels", "t_hub", "t", "residual_px", "covariance_px", "by_hub", "by_partner", "by_static",
+                "by_height", "field", "weight",
+            )
+        },
+    )  # fmt: skip
+    one, two, whole = (
+        normal_equations([s], [s.residual_px], many, orders=[GroundOrder()]) for s in (first, last, both)
+    )
+    np.testing.assert_array_equal(whole.ab.whole(), one.ab.whole() + two.ab.whole())
+    np.testing.assert_array_equal(whole.border, one.border + two.border)
+    # the corner is summed on from the first rows to the last: rounded elsewhere
+    np.testing.assert_allclose(whole.corner, one.corner + two.corner, rtol=1e-12)
+    assert whole.rows == one.rows + two.rows
+    # a band of two rows reaches over a lag, not over what lies between them: 15 s are 1,500 nodes
+    piece = equations._Piece(both, both.residual_px, both.t_hub, slice(0, 12))
+    held = sum(part.ab.shape[1] for part in equations._summed(piece, many, 3, 60).stretches)
+    assert held < 3 * 2 * (max(LAGS) / STEP + 4 + 20)

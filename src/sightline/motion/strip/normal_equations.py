@@ -659,10 +659,9 @@ class _Piece:
 
         What a star has left over at either end of a strip would otherwise have a band as long as the strip.
         """
-        star, blocks, support = self.star, self.star.shape[1], _support(self.star, grid)
-        instants = np.concatenate([star.t_hub[:, None], star.t, np.zeros((len(star.t), 1))], axis=1)[self.part]
-        instants[:, -1] = self.t_ground[self.part]
-        by_row = instants.reshape(-1, blocks * instants.shape[1])
+        star, part, blocks, support = self.star, self.part, self.star.shape[1], _support(self.star, grid)
+        columns = [star.t_hub[part, None], star.t[part], self.t_ground[part, None]]
+        by_row = np.concatenate(columns, axis=1).reshape((part.stop - part.start) // blocks, -1)
         reach = 0.5 * star.longest + 4 * grid.step
         lows = np.floor((np.nanmin(by_row, axis=1) - reach - grid.start) / grid.step).astype(int)
         highs = np.ceil((np.nanmax(by_row, axis=1) + reach - grid.start) / grid.step).astype(int)
@@ -672,7 +671,7 @@ class _Piece:
             low, high = int(lows[begin:end].min()), int(highs[begin:end].max())
             # rows at the end of the grid use its last nodes, wherever their instants are
             low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
-            windows = slice(self.part.start + begin * blocks, self.part.start + end * blocks)
+            windows = slice(part.start + begin * blocks, part.start + end * blocks)
             out.append((windows, low, high))
             begin = end
         return out
