@@ -22,6 +22,7 @@ from sightline.errors import EstimationError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.estimation.search import CLOSELY, SETTLED
 from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
+from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import in_memory
@@ -639,7 +640,8 @@ def _result(
         for r in state.records
     )
     for camera in cameras:
-        camera.forget()
+        if isinstance(camera, PushbroomCamera):
+            camera.forget()
     return LineOfSight(
         motion=motion,
         absolute_sigma=np.sqrt(estimate.absolute_sigma(t, turn) ** 2 + np.diag(unseen)),
