@@ -721,13 +721,21 @@ def projected_covariance(
     on_grid = np.zeros((grid.count, block, h))
     for axis in range(3):
         on_grid[:, axis] = grid.spread(in_factor[:, axis], t)
+    del in_factor
     cq_grid, _ = factor.times(on_grid.reshape(-1, h))
+    del on_grid
     cq = unit @ grid.interpolate(cq_grid.reshape(grid.count, block, h)[:, :3], t)
+    del cq_grid
     inner = q3.reshape(n * 3, h).T @ cq.reshape(n * 3, h)
     c = unit @ marginal_covariance(factor, grid, block, t) @ unit.T
+    # in place: of a long strip each of these is large
     cross = np.einsum("nph,nqh->npq", cq, q3)
-    left = c - cross - cross.transpose(0, 2, 1) + np.einsum("nph,hk,nqk->npq", q3, inner, q3)
-    return np.asarray(left * np.outer(scale, scale))
+    c -= cross
+    c -= cross.transpose(0, 2, 1)
+    del cross, cq
+    c += np.einsum("nph,hk,nqk->npq", q3, inner, q3)
+    c *= np.outer(scale, scale)
+    return np.asarray(c)
 
 
 def variance_between_nodes(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Array:
