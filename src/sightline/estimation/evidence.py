@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sightline.compiled import njit
 from sightline.estimation.banded import BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive
-from sightline.estimation.series import Grid, SeriesEquations
+from sightline.estimation.series import SeriesEquations
 from sightline.estimation.split import Layout, SplitPrior, gather_band, spread_band
 
 Array = NDArray[np.float64]
@@ -36,10 +36,18 @@ class EvenRate:
     seen : bool
         Whether something saw it, so that it tells of the spectrum as well. Otherwise it is where something
         hidden was put.
+    sigma : float
+        Unit of the motion per s; to which it is known.
     """
 
     value: float
     seen: bool = False
+    sigma: float = 0.0
+
+    def told(self, prior_variance: float) -> float:
+        """-2 log density of the rate where it is not to tell of the spectrum, else 0."""
+        variance = prior_variance + self.sigma**2
+        return 0.0 if self.seen else self.value**2 / variance + math.log(variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +62,7 @@ class _Held:
     column : (n,), beside : (q,)
         Covariance of motion and constants with the rate, before it was held.
     variance : float
-        Of the rate then.
+        Of the rate then, beside what it is known by.
     pull : float
         By how much the rate was larger than it is held at, over its variance.
     prior_variance : float
@@ -72,12 +80,7 @@ class _Held:
     @property
     def deviance(self) -> float:
         """What holding adds to that of the data, beside the misfit."""
-        return math.log(self.variance) - _told(self.rate, self.prior_variance)
-
-
-def _told(rate: EvenRate, prior_variance: float) -> float:
-    """-2 log density of a rate that is not to tell of the spectrum."""
-    return 0.0 if rate.seen else rate.value**2 / prior_variance + math.log(prior_variance)
+        return math.log(self.variance) - self.rate.told(self.prior_variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +178,9 @@ class Posterior:
     @cached_property
     def moments(self) -> Moments:
         """Second moments of the motion that the evidence's gradient needs; for a plain prior only."""
-        return _moments(self.mean, self._near_covariance, len(self.prior_band) - 1, self.held)
+        held = self.held
+        rate, weights = (None, None) if held is None else (held.rate, held.weights)
+        return moments_of(self.mean, self._near_covariance, len(self.prior_band) - 1, rate, weights)
 
     @cached_property
     def _near_covariance(self) -> Array:
@@ -213,14 +218,22 @@ class Posterior:
 class Moments:
     """Posterior second moments of a motion as an autoregression sees them.
 
-    start : (p, p)        E[x_i x_j] of the first p epochs
-    inner : (p + 1, p + 1)  sum over t >= p of E[x_{t-k} x_{t-l}]
-    held : _Held or None    where the even rate is known
+    Build them with `moments_of`.
+
+    Attributes
+    ----------
+    start : (p, p)
+        E[x_i x_j] of the first p epochs.
+    inner : (p + 1, p + 1)
+        Sum over t >= p of E[x_{t-k} x_{t-l}].
+    rate : EvenRate or None
+        Where it is known; `weights` (n,) are those of `rate_weights`.
     """
 
     start: Array
     inner: Array
-    held: _Held | None = None
+    rate: EvenRate | None = None
+    weights: Array | None = None
 
     def deviance_slope(self, prior: Autoregressive, autocovariance: Array) -> Array:
         """Derivative (p + 1,) of the evidence's deviance by the autocovariances that `prior` was made of.
@@ -231,10 +244,10 @@ class Moments:
         by_rows, by_variances = _slopes(
             prior.table[:, 1:], prior.all_variances, prior.n, self.start, self.inner
         )
-        if self.held is not None and not self.held.rate.seen:
-            rate, variance = self.held.rate.value, prior.variance_of(self.held.weights)
-            more = prior.slopes_of_variance(self.held.weights)
-            by_told = rate**2 / variance**2 - 1.0 / variance
+        if self.rate is not None and self.weights is not None and not self.rate.seen:
+            variance = prior.variance_of(self.weights) + self.rate.sigma**2
+            more = prior.slopes_of_variance(self.weights)
+            by_told = self.rate.value**2 / variance**2 - 1.0 / variance
             by_rows += by_told * more[0]
             by_variances += by_told * more[1]
         return prior.slope(autocovariance, by_rows, by_variances)
@@ -300,23 +313,48 @@ def _held(
     rate: EvenRate, e: SeriesEquations, factor: BorderedFactor, prior: Autoregressive, mean: Array
 ) -> _Held:
     """How a posterior of a `mean` is held at a rate."""
-    weights = rate_weights(e.grid)
+    weights = rate_weights(e.grid.nodes)
     column, beside = factor.solve(weights, np.zeros(e.border.shape[1]))
-    variance = float(weights @ column)
+    variance = float(weights @ column) + rate.sigma**2
     pull = (float(weights @ mean) - rate.value) / variance
     return _Held(rate, weights, column, beside, variance, pull, prior.variance_of(weights))
 
 
-def rate_weights(grid: Grid) -> Array:
-    """Weights (count,) of a motion on a grid whose sum is its even rate (1/s), by least squares."""
-    t = grid.nodes - grid.nodes.mean()
+def rate_weights(nodes: Array) -> Array:
+    """Weights (count,) of a motion at `nodes` (s) whose sum is its even rate (1/s), by least squares."""
+    t = nodes - nodes.mean()
     return np.asarray(t / (t @ t))
 
 
-def _moments(mean: Array, covariance: Array, p: int, held: _Held | None) -> Moments:
-    """Second moments from posterior mean and band of the covariance."""
+def moments_of(
+    mean: Array,
+    covariance: Array,
+    p: int,
+    rate: EvenRate | None = None,
+    weights: Array | None = None,
+    loose: Array | None = None,
+) -> Moments:
+    """Second moments for a prior of order `p`.
+
+    Parameters
+    ----------
+    mean : (n,)
+        Of the posterior.
+    covariance : (p + 1, n)
+        Lower band of its covariance.
+    p : int
+    rate : EvenRate, optional
+        At which the posterior is held; `weights` (n,) are those of `rate_weights`.
+    loose : (n,), optional
+        Weights of the prior's rows, see `Autoregressive.precision_band`: 1 before the epoch `p`.
+    """
     start, inner = _second_moments(mean, covariance, p)
-    return Moments(start, inner, held)
+    back = np.arange(p + 1)
+    apart, later = np.abs(np.subtract.outer(back, back)), np.maximum.outer(back, back)
+    for t in [] if loose is None else np.flatnonzero(loose[p:] < 1.0) + p:
+        here = covariance[apart, t - later] + np.outer(mean[t - back], mean[t - back])
+        inner -= (1.0 - loose[t]) * here  # type: ignore[index]
+    return Moments(start, inner, rate, weights)
 
 
 @njit(cache=True, nogil=True)

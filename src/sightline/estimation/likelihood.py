@@ -183,7 +183,7 @@ def fit_spectrum(
     grid, inside = _fitting_grid(scaled, step, work)
     rate = None
     if motion is not None:
-        rate = EvenRate(float(rate_weights(grid) @ np.interp(grid.nodes, *motion)) / unit, rate_seen)
+        rate = EvenRate(float(rate_weights(grid.nodes) @ np.interp(grid.nodes, *motion)) / unit, rate_seen)
 
     def summed(spectrum: Spectrum | None) -> SeriesEquations:
         return series_equations(

@@ -159,6 +159,11 @@ class LaidFactor:
         return self._factor.q
 
     @property
+    def logdet(self) -> float:
+        """Natural logarithm of the determinant of the whole matrix, coarse unknowns included."""
+        return self._factor.logdet
+
+    @property
     def border_covariance(self) -> Array:
         """The (q, q) block of the inverse that belongs to the border."""
         return self._factor.border_covariance

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from motion.strips import IFOV, plain_star
 from sightline.errors import EstimationError
 from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
-from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.strip import estimate as estimates
 from sightline.motion.strip import hyper
 from sightline.motion.strip.hyper import (
@@ -20,6 +19,7 @@ from sightline.motion.strip.hyper import (
     PriorModel,
     _corners_elsewhere,
     _own_share,
+    _shown,
     _tones_elsewhere,
     angle_differences,
     fit_prior_model,
@@ -155,36 +155,6 @@ def test_the_share_of_a_row_s_error_that_is_no_other_angle_s():
     assert_allclose(_own_share([replace(found, covariance=blind)]), 1.0)
 
 
-def test_jitter_that_rows_tell_on_another_s_lever_is_about_as_large_as_that_of_the_axis_they_tell(
-    monkeypatch,
-):
-    # rows tell roll and yaw together to .016 px, apart to .24 and .43: their jitter, .1 px, is in that noise
-    rng, count, shift = np.random.default_rng(2), 300, 35
-    t = 0.004 * np.arange(count)
-    apart = np.abs(np.subtract.outer(t, t))
-    jitter, drift = np.sqrt(3.0) * apart / 0.0092, np.sqrt(5.0) * apart
-    covariance = 0.1**2 * (1.0 + jitter) * np.exp(-jitter)
-    covariance += 2.0**2 * (1.0 + drift + drift**2 / 3.0) * np.exp(-drift)
-    motion = np.linalg.cholesky(covariance + 1e-8 * np.eye(count)) @ rng.standard_normal((count, 3))
-    lever = np.array([0.24, 0.0, -0.43])
-    rows = np.outer(lever, lever) + 0.016**2 * np.eye(3)
-    noise = rng.standard_normal((count - shift, 3)) @ np.linalg.cholesky(rows).T
-    differences = AngleDifferences(
-        t=t[:-shift], lag=np.full(count - shift, 0.004 * shift),
-        angles=IFOV * (motion[shift:] - motion[:-shift] + noise),
-        covariance=np.tile(IFOV**2 * rows, (count - shift, 1, 1)), images=(0, 1), window=0.004,
-    )  # fmt: skip
-    monkeypatch.setattr(hyper, "angle_differences", lambda *given: [differences])
-    grid = TimeGrid(-0.02, 0.004, count + 10)
-    estimate = SimpleNamespace(grid=grid, nodes=np.zeros((grid.count, 3)), untied_drifts=lambda: ())
-
-    model = fit_prior_model([], [], estimate, np.full(3, IFOV))
-    roll, pitch, yaw = (spectrum.components[1].sigma / IFOV for spectrum in model.spectra)
-    assert pitch == pytest.approx(0.1, rel=0.3)
-    # the most likely one of yaw is .006
-    assert 0.04 < roll < 0.25 and 0.04 < yaw < 0.25
-
-
 class TestPriorModel:
     def test_pixels_become_angles_and_yaw_counts_at_the_field_edge(self):
         scaled = BROAD.scaled(5e-6, 8e-4)
@@ -241,10 +211,10 @@ class TestPriorModel:
 
         spectra = [jitter(0.1, 0.001), jitter(0.1, 0.010), jitter(0.1, 0.001)]
         corner = Matern(0.1, 0.010, "3/2").corner
-        assert _corners_elsewhere(spectra, [0.05, 0.01, np.inf]) == [corner, None, corner]
-        assert _corners_elsewhere(spectra, [0.02, 0.01, 0.02]) == [None, None, None]
+        assert _corners_elsewhere(spectra, _shown(spectra, [0.05, 0.01, np.inf])) == [corner, None, corner]
+        assert _corners_elsewhere(spectra, _shown(spectra, [0.02, 0.01, 0.02])) == [None, None, None]
         # nobody shows it
-        assert _corners_elsewhere(spectra, [0.2, 0.2, 0.2]) == [None, None, None]
+        assert _corners_elsewhere(spectra, _shown(spectra, [0.2, 0.2, 0.2])) == [None, None, None]
 
     def test_tones_of_other_axes_that_an_axis_does_not_have_are_named_once(self):
         drift = (Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))
@@ -304,12 +274,9 @@ class TestPriorModel:
 
         def remember(series, **_):
             given.append(series)
+            one = Spectrum((Matern(1.0, 1.0, "3/2"),))
             return SimpleNamespace(
-                spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)),
-                noise_scale=1.0,
-                hidden=(),
-                products=(),
-                through=(),
+                spectrum=one, as_found=one, noise_scale=1.0, hidden=(), products=(), through=()
             )
 
         monkeypatch.setattr(hyper, "fit_spectrum", remember)

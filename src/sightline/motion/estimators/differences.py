@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 UNSEEN = 100.0
 
 #: The angle that is seen along the lines.
-PITCH, YAW = 1, 2
+ROLL, PITCH, YAW = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,10 +24,11 @@ from sightline.estimation.search import SETTLED
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
-from sightline.motion.estimators.differences import PITCH, YAW, AngleDifferences
+from sightline.motion.estimators.differences import PITCH, ROLL, YAW, AngleDifferences
 from sightline.motion.measure.observations import Star
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.normal_equations import TimeGrid
+from sightline.motion.strip.tied_axes import TiedEvidence, fit_tied
 
 Array = NDArray[np.float64]
 
@@ -43,16 +44,16 @@ MOST_TONES = 8
 #: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
 #: lever of the field, rows say nothing of its noise: what is not known of the other passes for it.
 OWN = 0.5
-#: Where it is less than this, rows tell two angles together ten times better than either: what is found of
-#: jitter and tones of one, far below the noise of its rows, is an accident, and of about the size that they
-#: have on the axis that rows tell best.
-LITTLE_OWN = 0.01
 #: Nodes to a line on which weights of uneven lines are laid.
 FINER = 4
 #: Hidden drifts are completed under motions about each axis of at least this share of that which drifts most.
 STILLEST = 1.0 / 3.0
 #: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
 SHOWN = 3.0
+#: Below the noise of a row it shows in all rows together only, and so in all that ties roll and yaw.
+HARDLY = 1.0
+#: Deviance that the last step of that search gains at most: each is dear.
+TIED_SETTLED = 1e-3
 #: Longest time scale of a drift beside unknown relief, in lengths of the strip.
 ROUGH = 0.5
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
@@ -522,15 +523,14 @@ def fit_prior_model(
     length = max(float(d.t.max()) for d in differences) - min(float(d.t.min()) for d in differences)
     spectra = [one.spectrum for one in first]
     missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
-    corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
+    row_sigma = [_row_sigma(differences, axis) for axis in range(3)]
+    shown = _shown(spectra, row_sigma)
+    corners = _corners_elsewhere(spectra, shown)
 
     # rows do not show the turn about a line of sight far aside, which holds some of the body's angles across
     across = None
     if aside and corners[YAW] is not None:
         across = _larger_parts(first[0].as_found, first[PITCH].as_found, length)
-
-    own = _own_share(differences)
-    best = int(np.argmax(own))
 
     def shared(axis: int) -> FittedSpectrum:
         through = [
@@ -539,25 +539,43 @@ def fit_prior_model(
             for f in (() if first[axis].through else one.through)
         ]
         usual = across if axis == YAW else None
-        # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
-        if usual is None and own[axis] < LITTLE_OWN:
-            usual = first[best].as_found.scaled(float(pixel[axis] / pixel[best]))
-        elif not missing[axis] and corners[axis] is None and not through:
+        if usual is None and not missing[axis] and corners[axis] is None and not through:
             return first[axis]
         return fitted(axis, spectra[axis], missing[axis], corners[axis], through, usual)
 
     roll, pitch, yaw = in_threads(shared, range(3), step=lambda done, _: step(3 + done, 6))
+    spectra = [roll.spectrum, pitch.spectrum, yaw.spectrum]
+    own = _own_share(differences)
+    best = int(np.argmax(shown))
+    # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
+    usual = [first[best].as_found.scaled(float(size / pixel[best])) for size in pixel]
+    expected = _shown(usual, row_sigma)
+    if any(0.0 < expected[axis] < HARDLY for axis in (ROLL, YAW)):  # none where rows do not see the angle
+        if across is not None:
+            usual[YAW] = across
+        evidence = TiedEvidence.of(stars, post_px, estimate, ORDER)
+        begins = [spectra, *([] if start is None else _of_one_kind(start.spectra, spectra))]
+        tied = [ROLL, YAW] if own[PITCH] > OWN else [ROLL, PITCH, YAW]
+        spectra = fit_tied(evidence, begins, tied, usual, max(settled, TIED_SETTLED))
     scales = [
         one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
         for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
     ]
     model = PriorModel(
-        (roll.spectrum, pitch.spectrum, yaw.spectrum),
+        (spectra[0], spectra[1], spectra[2]),
         (scales[0], scales[1], scales[2]),
         (roll.hidden, pitch.hidden, yaw.hidden),
         (roll.products, pitch.products, yaw.products),
     )
     return model.with_turns(length, drift_alone=across is not None)
+
+
+def _of_one_kind(before: Sequence[Spectrum], spectra: Sequence[Spectrum]) -> list[Sequence[Spectrum]]:
+    """The spectra fitted before, if they are of the same kind: broad parts of one order, tones alike."""
+    for old, new in zip(before, spectra, strict=True):
+        if len(old.tones) != len(new.tones) or _broadband(old).order != _broadband(new).order:
+            return []
+    return [before]
 
 
 def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[Tone]:
@@ -630,18 +648,22 @@ def _row_sigma(differences: Sequence[AngleDifferences], axis: int) -> float:
     return float(np.sqrt(np.median(variance)))
 
 
-def _corners_elsewhere(spectra: Sequence[Spectrum], row_sigma: Sequence[float]) -> list[float | None]:
+def _shown(spectra: Sequence[Spectrum], row_sigma: Sequence[float]) -> list[float]:
+    """Size of the broadband jitter of each axis, in units of the noise of a row of windows."""
+    return [_broadband(s).sigma / sigma for s, sigma in zip(spectra, row_sigma, strict=True)]
+
+
+def _corners_elsewhere(spectra: Sequence[Spectrum], shown: Sequence[float]) -> list[float | None]:
     """Corner (Hz) of the broadband jitter of the axis that shows it best, for axes whose rows do not show it.
 
     Below the noise of a row, jitter and noise are separated by how they follow in time alone: jitter of a
     corner above all that is seen would pass for noise, and noise for jitter. What shakes one axis of a body
     shakes the others about as fast.
     """
-    seen = [_broadband(s).sigma / sigma for s, sigma in zip(spectra, row_sigma, strict=True)]
-    best = int(np.argmax(seen))
-    if seen[best] < SHOWN:
-        return [None] * len(seen)
-    return [_broadband(spectra[best]).corner if one < SHOWN else None for one in seen]
+    best = int(np.argmax(shown))
+    if shown[best] < SHOWN:
+        return [None] * len(shown)
+    return [_broadband(spectra[best]).corner if one < SHOWN else None for one in shown]
 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:

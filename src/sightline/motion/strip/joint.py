@@ -205,6 +205,11 @@ class JointEstimate:
         """The same values without the equations that they solve: no covariance can be asked of it."""
         return replace(self, _images=no_information(self.grid, 0))
 
+    @property
+    def prior(self) -> JointPrior:
+        """What was believed before the images were looked at."""
+        return self._prior
+
     @cached_property
     def _data(self) -> NormalEquations:
         """Information of images and sensors."""
@@ -328,15 +333,11 @@ class JointEstimate:
         data, count = self._images, self.grid.count
         alone = replace(self._prior, own_precision=None, ample=None)
         # what sensors see of a motion does not make it less hidden from the images
-        own = (
-            self._factor(constants=False)
-            if self.ties is None
-            else _factor(_banded_factor(data, alone), data, alone, constants=False)
-        )
+        own = self._factor(constants=False) if self.ties is None else joint_factor(data, alone)
         ample = self._prior.ample
         factors = (
             own,
-            own if ample is None else _factor(_banded_factor(data, ample), data, ample, constants=False),
+            own if ample is None else joint_factor(data, ample),
         )
         # a constant moves the static parameters alone, and ample motions would rather undo it than let them
         out = np.empty((count, 3, 6))
@@ -586,6 +587,11 @@ def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, consta
     return factor if banded.place is None else LaidFactor(factor, banded.place)
 
 
+def joint_factor(data: NormalEquations, prior: JointPrior) -> Factor:
+    """Factor of data + prior, constants of the motion held; statics and free parabolas are its border."""
+    return _factor(_banded_factor(data, prior), data, prior, constants=False)
+
+
 def mean_and_drift(count: int) -> Array:
     """Weights (count, 2) of a motion's mean over the grid, and of its drift from the middle to the end."""
     u = np.linspace(-1.0, 1.0, count)
@@ -803,6 +809,7 @@ __all__: Sequence[str] = (
     "JointPrior",
     "angles_at",
     "directions_at",
+    "joint_factor",
     "less_directions",
     "longest_gap",
     "marginal_covariance",
