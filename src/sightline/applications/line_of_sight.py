@@ -84,7 +84,7 @@ from sightline.motion.strip.warnings import (
     observed_lines,
     strip_warnings,
 )
-from sightline.motion.strip.withheld import judged, withheld_numbers, without_pairs
+from sightline.motion.strip.withheld import contradictions, judged, withheld_numbers, without_pairs
 from sightline.result import makes_result
 from sightline.stages import Stages
 
@@ -297,7 +297,7 @@ def joint_line_of_sight(
     withheld = judged(strip, state, options)
     result = replace(_result(strip, state, passed.changes, options.window, draft), withheld=withheld)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))
-    warnings = (*result.warnings, *warnings)
+    warnings = (*result.warnings, *warnings, *contradictions(withheld))
     return strip, state, replace(result, differences=differences, warnings=warnings)
 
 

@@ -20,7 +20,14 @@ from sightline.motion.band import Band
 from sightline.motion.strip import slow_errors
 from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
 from sightline.motion.strip.strip import RecoverOptions
-from sightline.motion.strip.withheld import LEAST_WINDOWS, _worth, compared, judged
+from sightline.motion.strip.withheld import (
+    LEAST_WINDOWS,
+    WithheldAxis,
+    _worth,
+    compared,
+    contradictions,
+    judged,
+)
 from sightline.simulate.scenarios import line_of_sight_case
 
 NAMES = ("B", "G", "R")
@@ -188,6 +195,17 @@ def test_what_wanders_has_its_part_in_the_variance_of_a_prediction(wandering):
     np.testing.assert_allclose(read, moved[which, 0].ravel(), atol=1e-6)
     dense = dense_variance(state, rows, beside)
     np.testing.assert_allclose(state.estimate.row_variance(rows, beside), dense, rtol=1e-4)
+
+
+def test_a_pair_that_contradicts_its_prediction_beyond_chance_is_warned_of():
+    axis = WithheldAxis(("A", "B"), "along", 240, 200.0, 1.2, 0.93, 0.05, 0.045, 0.01, False)
+    # chi-square of 200 is above 2.6 x 200 once in 4e29, of 10 above 26 once in 270
+    few = replace(axis, nees=2.6, samples=10.0)
+    assert contradictions([axis, few, replace(axis, nees=0.3)]) == ()
+    (said,) = contradictions([axis, replace(axis, nees=2.6), few])
+    assert (
+        said.startswith("A–B, which the estimate did not use") and "NEES 2.6" in said and "1.6 times" in said
+    )
 
 
 def test_windows_that_err_alike_are_worth_fewer():

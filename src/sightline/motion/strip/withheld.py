@@ -17,6 +17,7 @@ from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from sightline.errors import InputError
 from sightline.estimation.robust import robust_sigmas
@@ -51,6 +52,8 @@ LEAST_LEFT = 0.5
 #: Two-sided 95 % point of the normal distribution.
 Z95 = NormalDist().inv_cdf(0.975)
 AXES = ("along", "across")
+#: NEES of a left-out pair from which on it is warned of, where that has less than this chance.
+CONTRADICTED, CONTRADICTION_CHANCE = 2.0, 1e-4
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,21 @@ class WithheldAxis:
     sigma_px: float
     prediction_sigma_px: float
     asked: bool
+
+
+def contradictions(withheld: Sequence[WithheldAxis]) -> tuple[str, ...]:
+    """Warnings of left-out pairs that show far more than the sigma of their prediction owns."""
+    said = []
+    for one in withheld:
+        chance = float(chdtrc(one.samples, one.nees * one.samples))
+        if one.nees >= CONTRADICTED and chance < CONTRADICTION_CHANCE:
+            said.append(
+                f"{'–'.join(one.pair)}, which the estimate did not use, contradicts it {one.axis} the lines: "
+                f"NEES {one.nees:.2g} where 1 is right, so sigmas are some {one.nees**0.5:.2g} times too "
+                "small; look for clouds, relief that is not given ([surface] height_sigma), or a wrong lag or "
+                "line time"
+            )
+    return tuple(said)
 
 
 def withheld_numbers(strip: Strip, pairs: Sequence[tuple[str, str]]) -> list[tuple[int, int]]:
