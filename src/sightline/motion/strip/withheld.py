@@ -105,8 +105,8 @@ def contradictions(withheld: Sequence[WithheldAxis]) -> tuple[str, ...]:
             said.append(
                 f"{'–'.join(one.pair)}, which the estimate did not use, contradicts it {one.axis} the lines: "
                 f"NEES {one.nees:.2g} where 1 is right, so sigmas are some {one.nees**0.5:.2g} times too "
-                "small; look for clouds, relief that is not given ([surface] height_sigma), or a wrong lag or "
-                "line time"
+                "small; look for clouds, relief that is not given ([surface] height_sigma), or a wrong "
+                "lag or line time"
             )
     return tuple(said)
 
