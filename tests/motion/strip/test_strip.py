@@ -56,6 +56,29 @@ def test_rows_follow_a_short_lag(lag, step, window, grid_lines):
     assert suited(asked, bands, Plane()) is asked
 
 
+@pytest.mark.parametrize(
+    ("period", "lag", "step", "grid_lines"),
+    # at most 3.2 ms apart, nodes as near as 300 of them in the longest lag; slower lines show no 150 Hz
+    [
+        (0.7e-3, 80.0, 4, 2.0),
+        (1.5e-3, 80.0, 2, 1.0),
+        (1.5e-3, 450.0, 2, 1.5),
+        (2.5e-3, 80.0, 1, 0.5),
+        (4e-3, 80.0, 4, 2.0),
+    ],
+)
+def test_rows_of_long_lines_are_near_enough_for_vibrations(period, lag, step, grid_lines):
+    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
+    cameras = [
+        replace(camera, detector=replace(camera.detector, line_period=period))
+        for camera in late_cameras(0.0, lag * period / PERIOD)
+    ]
+    bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
+    found = suited(RecoverOptions(), bands, Plane())
+    assert (found.step, found.window) == (step, (4, 100))
+    assert found.grid_lines == pytest.approx(grid_lines, rel=0.05)
+
+
 def late_cameras(*lags):
     """Cameras whose lines show the same ground so many lines later."""
     return [

@@ -49,6 +49,8 @@ HYBRIDISE = ("global", "iterative")
 GROUND_PLACES = 9
 #: Nodes of the motion in the longest lag beyond which they are laid farther apart where images allow it.
 MOST_NODES = 300
+#: s between rows of windows at most, where lines are faster: spacecraft vibrate at up to some 150 Hz.
+ROW_SECONDS = 3.2e-3
 
 
 @dataclass(frozen=True)
@@ -214,10 +216,11 @@ class Strip:
 
 
 def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> RecoverOptions:
-    """Options with rows of windows near enough to each other for the shortest lag of the bands.
+    """Options with rows of windows near enough to each other for the shortest lag, and for vibrations.
 
     A pair sees motion by how it differs over its lag: rows farther apart than some half of that sample what
-    the pair sees too coarsely, and windows as high as that average it away. Windows, rows or nodes that were
+    the pair sees too coarsely, and windows as high as that average it away. Lines of a millisecond and more
+    are so far apart that usual rows would take vibrations for their aliases. Windows, rows or nodes that were
     asked for stay as they are.
 
     Where lags are many nodes, whose square the solution costs, and the coarser image of every pair has long
@@ -230,8 +233,15 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
     cameras = [band.camera for band in bands]
     rows = _shortest_lag(cameras, surface) / ROWS_IN_LAG
     if rows >= usual.step:
-        wider = min(_coarser_lines(cameras), longest_lag(cameras, surface) / usual.grid_lines / MOST_NODES)
-        return replace(options, grid_lines=usual.grid_lines * wider) if wider > UNLIKE else options
+        most = longest_lag(cameras, surface) / MOST_NODES
+        wider = min(_coarser_lines(cameras), most / usual.grid_lines)
+        if wider > UNLIKE:
+            return replace(options, grid_lines=usual.grid_lines * wider)
+        step = int(ROW_SECONDS / min(camera.detector.line_period for camera in cameras))
+        if not 0 < step < usual.step:
+            return options
+        nodes = max(usual.grid_lines * step / usual.step, min(most, usual.grid_lines))
+        return replace(options, step=step, grid_lines=nodes)
     step = max(int(rows), 1)
     return replace(
         options,
