@@ -550,7 +550,9 @@ def fit_prior_model(
     # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
     usual = [first[best].as_found.scaled(float(size / pixel[best])) for size in pixel]
     expected = _shown(usual, row_sigma)
-    if any(0.0 < expected[axis] < HARDLY for axis in (ROLL, YAW)):  # none where rows do not see the angle
+    together = min(own[ROLL], own[YAW]) < OWN
+    # none where rows do not see the angle
+    if together and any(0.0 < expected[axis] < HARDLY for axis in (ROLL, YAW)):
         if across is not None:
             usual[YAW] = across
         evidence = TiedEvidence.of(stars, post_px, estimate, ORDER)
