@@ -203,9 +203,10 @@ def test_the_demo_ends_with_the_score_and_where_the_report_is(tmp_path, capsys, 
     said = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in said[1:4]] == ["roll", "pitch", "yaw"]
     # what was left out of these is said, and the error with it
-    unseen = "a constant of roll, pitch and yaw, a drift of roll, pitch and yaw (with a {} of roll)"
-    # of so short a strip the roll of a drift of yaw is a parabola to some 95 %: there the words change
-    shapes = ("parabola", "curve")
+    unseen = "a constant of roll, pitch and yaw, a drift of roll, pitch and yaw (with a {})"
+    # of so short a strip the roll of a drift of yaw is a parabola to some 90 to 95 %: there the words change;
+    # beside it stands a fiftieth as much of pitch, hardly named or hardly not
+    shapes = ("parabola of roll", "curve of roll", "curve of roll and a curve of pitch")
     assert any(f"{unseen.format(shape)}, unseen by images, left out" in said[0] for shape in shapes)
     assert [line.split()[0] for line in said[4:7]] == ["roll", "pitch", "yaw"]
     assert all("error of the whole angle" in line for line in said[4:7])
