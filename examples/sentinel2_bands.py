@@ -61,9 +61,9 @@ if __name__ == "__main__":
         print(__doc__)
         sys.exit()
     out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp(prefix="sentinel2-"))
+    if not (crops := sorted(DATA.glob("*.tif"))) or out.resolve() == DATA.resolve():
+        sys.exit(f"no crops in {DATA}, or OUT is that folder; set SIGHTLINE_DATA to the folder of real data")
     out.mkdir(parents=True, exist_ok=True)
-    if not (crops := sorted(DATA.glob("*.tif"))):
-        sys.exit(f"no crops in {DATA}; set SIGHTLINE_DATA to the folder of real data")
     for image in crops:
         sign = -1 if image.stem in ("03", "04", "05", "06", "07") else 1
         begun = acquisition_of_bands(MSI, band_images(MSI, [image], NAMES), out, sign)
