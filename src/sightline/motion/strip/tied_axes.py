@@ -221,7 +221,14 @@ def fit_tied(
     """
     # from a part of no size nothing leads to one that it shares with another axis
     larger = _Parameters(evidence, tuple(begins[0]), tuple(axes), tuple(usual)).at_least_usual()
-    begin = min([*begins, larger], key=evidence.deviance)
+
+    def deviance(spectra: Sequence[Spectrum]) -> float:
+        try:
+            return evidence.deviance(spectra)
+        except (EstimationError, InputError):  # sizes so unlike that the equations have no factor
+            return math.inf
+
+    begin = min([*begins, larger], key=deviance)
     tied = _Parameters(evidence, tuple(begin), tuple(axes), tuple(usual))
     return tied.spectra(tied.search(settled))
 
