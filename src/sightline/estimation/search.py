@@ -94,7 +94,7 @@ TONE_SIZE, TONE_WIDTH = 40.0, 8.0
 #: What steps of the drift's size and time scale are held back by.
 DRIFT_RIDGE = 10.0
 #: The likelihood is multiplied by so many powers of the drift's standard deviation: by its variance (see
-#: `Search._adjusted`).
+#: `drift_adjustment`).
 ADJUSTED = 2.0
 #: A part of a motion is shown where a size half as large again, and one as much smaller, raise the deviance
 #: by this much (Akaike's price of a parameter, twice); sizes are looked at so many to a factor of e.
@@ -273,11 +273,11 @@ class Search:
         ]
         for tone, gain in zip(model.tones, model.gains, strict=True):
             farthest = 0.0 if gain == math.inf else min(1.0, 0.2 * tone.frequency * length)
-            widest = max(10.0 / length, 0.1 * tone.frequency)
+            _, least, most = tone_widths(tone.frequency, length)
             bounds += [
                 (math.log(1e-3), math.log(30.0 * drift)),
                 (-farthest, farthest),
-                (math.log(0.02 / length), math.log(widest)),
+                (math.log(least), math.log(most)),
             ]
         least, most = NOISE_SCALES
         bounds.append((math.log(least), math.log(most)) if self._fit_noise else (0.0, 0.0))
@@ -290,7 +290,8 @@ class Search:
 
         Quasi-Newton steps that begin with the expected curvature (`_curvature`). The search ends with the
         first step that lowers the deviance by less than `gain`. `adjusted`: no drift is smaller than it may
-        be, see `_adjusted`; for the end of a search: on its way drift and broadband part could change places.
+        be (`drift_adjustment`); for the end of a search: on its way drift and broadband part could change
+        places.
         """
         origin = model
         bounds = np.array(self._bounds(model))
@@ -321,25 +322,10 @@ class Search:
         return self._model(descend_within(objective, x, bounds, curvature, iterations, gain), origin)
 
     def _adjusted(self, x: Array) -> tuple[float, Array]:
-        """What keeps a drift that few bends tell of from being none, and its derivatives.
-
-        Notes
-        -----
-        Of a drift a short strip shows a handful of bends. A variance that maximises the likelihood of so few
-        is as often far too small as too large, even none at all, and an estimate under a drift of no size is
-        certain of what it did not see; one under a drift that is too large only loses what the prior would
-        have told. So the likelihood is multiplied by the variance of the bend, which keeps what the prior is
-        believed unbiased to first order (Morris and Tang 2011, Statistical Science 26: adjustment for density
-        maximisation): among n bends that are clearly seen the variance is their sum of squares over n - 2.
-        """
-
-        def of(log_timescale: float) -> float:
-            return -2.0 * ADJUSTED * math.log(Matern(1.0, math.exp(log_timescale), "5/2").bend(self._length))
-
-        slope, step = np.zeros(len(x)), 1e-3
-        slope[0] = -2.0 * ADJUSTED
-        slope[1] = (of(x[1] + step) - of(x[1] - step)) / (2.0 * step)
-        return of(x[1]) + slope[0] * float(x[0]), slope
+        """`drift_adjustment` of the drift, and its derivatives by all parameters."""
+        slope = np.zeros(len(x))
+        value, slope[:2] = drift_adjustment(float(x[0]), float(x[1]), self._length)
+        return value, slope
 
     def _curvature(self, model: NoiseModel) -> Array:
         """About the second derivatives of the deviance by the parameters.
@@ -601,9 +587,9 @@ class Search:
         if size is not None:
             model = self._with_best_scale(_with_size(model, BROADBAND, size))[0]
         for k, tone in enumerate(model.tones):
-            near = [t.sigma for t in there.tones if abs(t.frequency - tone.frequency) < 1.5 / self._length]
-            if near and model.gains[k] != math.inf:
-                size = self._mean_size(model, k, tone.sigma, max(near))
+            near = usual_size(there.tones, tone.frequency, self._length)
+            if near is not None and model.gains[k] != math.inf:
+                size = self._mean_size(model, k, tone.sigma, near)
                 model = model if size is None else _with_size(model, k, size)
         return model
 
@@ -637,7 +623,7 @@ class Search:
 
     def narrow(self, frequency: float) -> float:
         """Bandwidth (Hz) that a tone is taken to have as long as nothing shows it."""
-        return min(1.0 / self._length, WIDEST * frequency)
+        return tone_widths(frequency, self._length)[0]
 
     def hidden_tones(
         self, model: NoiseModel, elsewhere: Sequence[tuple[float, float]] = ()
@@ -965,6 +951,47 @@ def mean_variance_unseen(gain: float, largest: float, usual: float = math.inf) -
     variance = largest * amplitude**2
     weight = np.exp(-gain / (1.0 + variance) - 0.5 * variance / usual) / (1.0 + variance)
     return float(variance @ weight / weight.sum())
+
+
+def drift_adjustment(
+    log_sigma: float, log_timescale: float, length: float
+) -> tuple[float, tuple[float, float]]:
+    """What keeps a drift that few bends tell of from being none: -2 log, and its derivatives by both.
+
+    Parameters
+    ----------
+    log_sigma, log_timescale : float
+        Logarithms of the standard deviation and of the time scale (s) of a drift.
+    length : float
+        s; of the data.
+
+    Notes
+    -----
+    Of a drift a short strip shows a handful of bends. A variance that maximises the likelihood of so few
+    is as often far too small as too large, even none at all, and an estimate under a drift of no size is
+    certain of what it did not see; one under a drift that is too large only loses what the prior would
+    have told. So the likelihood is multiplied by the variance of the bend, which keeps what the prior is
+    believed unbiased to first order (Morris and Tang 2011, Statistical Science 26: adjustment for density
+    maximisation): among n bends that are clearly seen the variance is their sum of squares over n - 2.
+    """
+
+    def of(log_timescale: float) -> float:
+        return -2.0 * ADJUSTED * math.log(Matern(1.0, math.exp(log_timescale), "5/2").bend(length))
+
+    step = 1e-3
+    by_sigma = -2.0 * ADJUSTED
+    by_timescale = (of(log_timescale + step) - of(log_timescale - step)) / (2.0 * step)
+    return of(log_timescale) + by_sigma * log_sigma, (by_sigma, by_timescale)
+
+
+def tone_widths(frequency: float, length: float) -> tuple[float, float, float]:
+    """Bandwidth (Hz) that a tone is believed to have in data of `length` (s), the least, and the most."""
+    return min(1.0 / length, WIDEST * frequency), 0.02 / length, max(10.0 / length, 0.1 * frequency)
+
+
+def usual_size(usual: Sequence[Tone], frequency: float, length: float) -> float | None:
+    """Standard deviation of that of the `usual` tones that lies at `frequency` (Hz); over `length` s."""
+    return max((t.sigma for t in usual if abs(t.frequency - frequency) < 1.5 / length), default=None)
 
 
 def mean_variance_about(usual: float, logs: Array, deviance: Array) -> float:

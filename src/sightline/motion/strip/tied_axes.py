@@ -21,13 +21,15 @@ from sightline.errors import EstimationError, InputError
 from sightline.estimation.evidence import EvenRate, moments_of, rate_weights
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum, Tone, autoregressive
 from sightline.estimation.search import (
-    ADJUSTED,
     BANDWIDTH_BELIEF,
     BELIEF,
     LONGEST_DRIFT,
     SETTLED,
-    WIDEST,
+    NoiseModel,
     descend_within,
+    drift_adjustment,
+    tone_widths,
+    usual_size,
 )
 from sightline.motion.measure.observations import Star
 from sightline.motion.strip.joint import Factor, JointEstimate, JointPrior, joint_factor
@@ -215,7 +217,7 @@ def fit_tied(
 
     Notes
     -----
-    As for one axis drifts are kept from being none (`Search.improve`, `ADJUSTED`). Sizes are beforehand half
+    As for one axis drifts are kept from being none (`drift_adjustment`). Sizes are beforehand half
     of a Student t of four degrees about the `usual` one. The maximum is taken over their logarithms: of a
     variance whose likelihood is that of a sum of squares it is then the mean.
     """
@@ -259,15 +261,12 @@ class _Parameters:
         return out
 
     def _parts(self, x: Array, axis: int) -> list[Matern | Tone]:
-        drift, broadband = _broad(self.begin[axis])
-        size = np.exp(x)
+        begin, size = NoiseModel.of(self.begin[axis]), np.exp(x)
         out: list[Matern | Tone] = [
-            replace(drift, sigma=size[0], timescale=size[1]),
-            replace(broadband, sigma=size[2], timescale=size[3]),
+            replace(begin.drift, sigma=size[0], timescale=size[1]),
+            replace(begin.broadband, sigma=size[2], timescale=size[3]),
         ]
-        for tone, (sigma, width) in zip(
-            self.begin[axis].tones, size[BROAD_PARAMETERS:].reshape(-1, 2), strict=True
-        ):
+        for tone, (sigma, width) in zip(begin.tones, size[BROAD_PARAMETERS:].reshape(-1, 2), strict=True):
             out.append(replace(tone, sigma=sigma, bandwidth=width))
         return out
 
@@ -306,8 +305,8 @@ class _Parameters:
     def _about(self, axis: int) -> tuple[Array, Array, Array, Array, Array]:
         """Of one axis: where the search begins, bounds, what is believed and how much, curvature."""
         step, length = self.evidence.data.grid.step, self.evidence.length
-        drift, broadband = _broad(self.begin[axis])
-        x = [math.log(v) for part in (drift, broadband) for v in (part.sigma, part.timescale)]
+        begin = NoiseModel.of(self.begin[axis])
+        x = [math.log(v) for part in (begin.drift, begin.broadband) for v in (part.sigma, part.timescale)]
         sizes = [(v + SIZES[0], v + SIZES[1]) for v in x]
         bounds = [
             sizes[0],
@@ -317,12 +316,12 @@ class _Parameters:
         ]
         centre, pull = list(x), [BELIEF**-2] * BROAD_PARAMETERS
         curvature = [CURVATURE] * BROAD_PARAMETERS
-        for tone in self.begin[axis].tones:
-            size = math.log(tone.sigma)
+        for tone in begin.tones:
+            size, widths = math.log(tone.sigma), tone_widths(tone.frequency, length)
+            usual, least, most = (math.log(width) for width in widths)
             x += [size, math.log(tone.bandwidth)]
-            bounds.append((size + SIZES[0], size + SIZES[1]))
-            bounds.append((math.log(0.02 / length), math.log(max(10.0 / length, 0.1 * tone.frequency))))
-            centre += [size, math.log(min(1.0 / length, WIDEST * tone.frequency))]
+            bounds += [(size + SIZES[0], size + SIZES[1]), (least, most)]
+            centre += [size, usual]
             pull += [BELIEF**-2, BANDWIDTH_BELIEF**-2]
             curvature += [TONE_CURVATURE] * 2
         return np.array(x), np.array(bounds), np.array(centre), np.array(pull), np.array(curvature)
@@ -342,17 +341,11 @@ class _Parameters:
 
     def _believed(self, x: Array) -> tuple[float, Array]:
         """-2 log of what is believed of drifts, and of sizes beforehand, and its derivatives."""
-        length, step = self.evidence.length, 1e-3
-
-        def bend(log_timescale: float) -> float:
-            return math.log(Matern(1.0, math.exp(log_timescale), "5/2").bend(length))
-
         value, slope = 0.0, np.zeros(len(x))
         for axis, here in self.places():
             own, by = x[here], slope[here]
-            value -= 2.0 * ADJUSTED * (bend(own[1]) + float(own[0]))
-            by[0] -= 2.0 * ADJUSTED
-            by[1] -= 2.0 * ADJUSTED * (bend(own[1] + step) - bend(own[1] - step)) / (2.0 * step)
+            more, by[:2] = drift_adjustment(float(own[0]), float(own[1]), self.evidence.length)
+            value += more
             for k, usual in self._usual_sizes(axis):
                 square = 0.5 * (math.exp(own[k]) / usual) ** 2
                 value += 5.0 * math.log1p(square) - 2.0 * float(own[k])
@@ -361,19 +354,13 @@ class _Parameters:
 
     def _usual_sizes(self, axis: int) -> list[tuple[int, float]]:
         """Parameters that are sizes of the broadband part and of tones, with the usual one."""
-        usual, apart = self.usual[axis], 1.5 / self.evidence.length
-        out = [(2, _broad(usual)[1].sigma)]
+        usual = NoiseModel.of(self.usual[axis])
+        out = [(2, usual.broadband.sigma)]
         for k, tone in enumerate(self.begin[axis].tones):
-            near = [one.sigma for one in usual.tones if abs(one.frequency - tone.frequency) < apart]
-            if near:
-                out.append((BROAD_PARAMETERS + 2 * k, max(near)))
+            size = usual_size(usual.tones, tone.frequency, self.evidence.length)
+            if size is not None:
+                out.append((BROAD_PARAMETERS + 2 * k, size))
         return out
-
-
-def _broad(spectrum: Spectrum) -> tuple[Matern, Matern]:
-    """Drift and broadband part."""
-    drift, broadband = (part for part in spectrum.components if isinstance(part, Matern))
-    return drift, broadband
 
 
 def _middle(stars: Sequence[Star], grid: TimeGrid, order: int) -> tuple[int, int]:
