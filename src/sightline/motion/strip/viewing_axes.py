@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.estimation.prior import Spectrum, TabulatedPsd, Tone
+from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.pointing import pointing_matrices, turned_pointing
 from sightline.motion.measure.common_view import Views, usable
 from sightline.motion.measure.observations import Star
 
 Array = NDArray[np.float64]
+Part = Matern | Tone | TabulatedPsd
 
 #: The line of sight is off the body's z where the angle between them (rad) is larger than so many times half
 #: of what the matches span across the field: there yaw shifts the image by more than it turns it. Where the
@@ -109,27 +110,26 @@ def turned_spectra(
     spectra: tuple[Spectrum, Spectrum, Spectrum], turn: Array
 ) -> tuple[Spectrum, Spectrum, Spectrum]:
     """Spectra of the three angles in the axes that `turn` leads to, of angles independent before."""
-    out = []
-    for row in turn:
-        parts = [s.scaled(abs(float(w))) for s, w in zip(spectra, row, strict=True) if abs(w) > 1e-6]
-        out.append(Spectrum(tuple(c for part in parts for c in part.components)))
-    return out[0], out[1], out[2]
+    roll, pitch, yaw = (Spectrum(parts) for parts in _turned_parts([s.components for s in spectra], turn))
+    return roll, pitch, yaw
 
 
-def turned_errors(
-    errors: Sequence[Sequence[Tone | TabulatedPsd]], turn: Array
-) -> tuple[Spectrum | None, ...]:
+def turned_errors(errors: Sequence[Sequence[Part]], turn: Array) -> tuple[Spectrum | None, ...]:
     """Errors of the three angles, independent, in the axes that `turn` leads to; None where none are."""
-    out = []
-    for row in turn:
-        parts = [
+    return tuple(Spectrum(parts) if parts else None for parts in _turned_parts(errors, turn))
+
+
+def _turned_parts(parts: Sequence[Sequence[Part]], turn: Array) -> list[tuple[Part, ...]]:
+    """What the three angles hold, of angles independent before that hold `parts`."""
+    return [
+        tuple(
             c
-            for own, w in zip(errors, row, strict=True)
+            for own, w in zip(parts, row, strict=True)
             if own and abs(w) > 1e-6
             for c in Spectrum(tuple(own)).scaled(abs(float(w))).components
-        ]
-        out.append(Spectrum(tuple(parts)) if parts else None)
-    return tuple(out)
+        )
+        for row in turn
+    ]
 
 
 def turned_star(star: Star, turn: Array) -> Star:
