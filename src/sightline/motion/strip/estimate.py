@@ -263,11 +263,11 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
     spectrum times the square of that is the error's.
     """
     stars, estimate = [r.star for r in state.records], state.estimate
+    if not any(s.blur_px is not None and s.blur_px.any() for s in stars):
+        return state.model
     blurs = [
         np.where(np.isfinite(s.residual_px), 0.0 if s.blur_px is None else s.blur_px, np.nan) for s in stars
     ]
-    if not any(np.nan_to_num(b).any() for b in blurs):
-        return state.model
     orders, relief = _ground_orders(strip, stars), estimate.relief is not None
     # beyond the windows a motion is what its neighbours make of it
     times = np.concatenate([t[s.present] for s in stars for t in (s.t, s.t_hub[:, None] + 0.0 * s.t)])
