@@ -823,6 +823,27 @@ def thread_count() -> int:
     return _threads[-1] if _threads else available_processors()
 
 
+@cache
+def _trim() -> Callable[[int], int] | None:
+    """glibc's ``malloc_trim``; None where the C library has none."""
+    import ctypes
+
+    try:
+        return ctypes.CDLL(None).malloc_trim  # type: ignore[no-any-return]
+    except (AttributeError, OSError, TypeError):
+        return None
+
+
+def give_back_memory() -> None:
+    """Hand memory that was freed back to the system, where the C library would keep it for what comes next.
+
+    Arrays of some megabytes leave holes among small objects: a long run would hold them to its end.
+    """
+    trim = _trim()
+    if trim is not None:
+        trim(0)
+
+
 def in_threads(
     function: Callable[[Item], Result],
     items: Iterable[Item],

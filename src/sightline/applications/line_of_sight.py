@@ -272,6 +272,7 @@ def joint_line_of_sight(
         # without its factors, which lie in memory and on disk as long as it does
         refined = replace(refined, estimate=replace(refined.estimate))
         passed = _kept(stages, names, replace(passed, name=names[number + 1], state=refined, changes=changes))
+        del refined  # the next pass holds the windows of this one but for what is heavy of them
     if wide and passed.name not in (_WHOLE, _GIVEN):
         step = steps_of(tell, "last pass: matching over the whole field")
         passed = replace(passed, state=_light(passed.state))

@@ -144,6 +144,11 @@ class Pieces:
             while left:
                 left = left[self._file.write(left) :]
 
+    @property
+    def on_disk(self) -> bool:
+        """Whether `get` gives an array of its own each time."""
+        return self._file is not None
+
     def get(self, number: int) -> Array | None:
         """A piece; None where none was put."""
         if self._file is None:

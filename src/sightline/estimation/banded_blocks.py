@@ -180,8 +180,14 @@ class StoredBand:
     def columns(self, first: int, last: int) -> Array:
         """Columns [first, last) as an array (b + 1, last - first) that may be written to."""
         self._put_back()
+        spans = self.spans()
+        if self._pieces.on_disk and (first, last) in spans:
+            # as it was read: a copy would be as large again
+            whole = self._pieces.get(spans.index((first, last)))
+            if whole is not None:
+                return whole
         out = np.zeros((self.subdiagonals + 1, last - first))
-        for number, (begin, end) in enumerate(self.spans()):
+        for number, (begin, end) in enumerate(spans):
             low, high = max(begin, first), min(end, last)
             piece = self._pieces.get(number) if low < high else None
             if piece is not None:

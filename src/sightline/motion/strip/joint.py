@@ -22,6 +22,7 @@ from scipy.linalg import block_diag
 from sightline.estimation.banded import BandedFactor, BorderedFactor, add_band_times, band_times
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
+from sightline.execution import give_back_memory
 from sightline.motion.strip.fusion import Ties, add_ties
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid, no_information
 
@@ -566,10 +567,14 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
     def columns(first: int, last: int) -> Array:
         p = prior.precision_columns(first, last, block)[:depth]
         add_band_times(p, free, first, pulled)
-        out = np.zeros((depth, last - first))
-        out[: data.ab.subdiagonals + 1] = data.ab.columns(first, last)
+        out = data.ab.columns(first, last)
+        if depth > len(out):
+            out = np.concatenate([out, np.zeros((depth - len(out), last - first))])
         out[: len(p)] += p
         return out
+
+    # between matching and here much was freed in small pieces, which would stay beside the factor's large ones
+    give_back_memory()
 
     factor = BandedFactor.of_columns(depth - 1, n, columns)
     return _Banded(factor, free, pulled, None, np.concatenate([data.border, -pulled], axis=1))
