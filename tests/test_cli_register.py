@@ -8,6 +8,9 @@ import shutil
 import pytest
 
 from sightline.cli.main import run
+from sightline.products import register_bands
+from sightline.products.register_bands import RegisteredImage
+from sightline.stages import Stages
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +129,62 @@ def test_a_band_that_matches_nothing_is_named_by_recover_and_marked_by_register(
     page = (out / "report.html").read_text()
     assert "Too few windows match to say how well these fit: PAN – B1, B1 – B0, B1 – B2." in page
     assert "Placed by the recovered motion alone, their own place never measured: B1." in page
+
+
+def stopped_at(stage: str, words: list[str], monkeypatch) -> None:
+    """A run that is interrupted before it keeps this stage."""
+    put = Stages.put
+
+    def some(stages, name, value):
+        if name == stage:
+            raise KeyboardInterrupt
+        put(stages, name, value)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Stages, "put", some)
+        assert run(words) == 130
+
+
+def test_a_run_that_was_stopped_time_and_again_goes_on_to_the_same_bits(
+    registered, recovery, tmp_path, capsys, monkeypatch
+):
+    read = []
+
+    def counted(image, lines, columns, of=RegisteredImage.read):
+        read.append(lines)
+        return of(image, lines, columns)
+
+    # five blocks of lines: where maps are sampled hangs on the block, so the whole run has the same
+    lines, columns = registered[1]["shape"]
+    monkeypatch.setattr(register_bands, "BLOCK_PIXELS", -(-lines // 5) * columns)
+    assert run([*words(recovery, tmp_path)[:-1], str(tmp_path / "whole"), "--json"]) == 0
+    whole = json.loads(capsys.readouterr().out)
+    monkeypatch.setattr(RegisteredImage, "read", counted)
+    command = words(recovery, tmp_path, "--workers", "1")
+    out, moved = tmp_path / "out", len(whole["bands"]) - 1
+    stopped_at("after-2", command, monkeypatch)
+    assert "finished stages wait in" in capsys.readouterr().err
+    stopped_at("before-3", [*command, "--resume"], monkeypatch)
+    stopped_at("fit-after-0-2", command, monkeypatch)
+    assert "goes on from the finished stages" in capsys.readouterr().err
+    # a block that was under way when the run was stopped is read again, and no other one
+    assert len(read) == moved * (5 + 1 + 5 + 1)
+    assert run([*command, "--resume"]) == 0
+    assert len(read) == moved * 12
+    assert not (out / ".partial").exists()
+    for name in whole["files"]:
+        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    summary = json.loads((out / "summary.json").read_text())
+    assert {key for key in whole if summary[key] != whole[key]} <= {"wall_seconds", "peak_memory_bytes"}
+
+
+def test_a_run_of_other_options_is_refused_where_it_is_to_go_on(recovery, tmp_path, capsys, monkeypatch):
+    command = words(recovery, tmp_path)
+    stopped_at("before-0", command, monkeypatch)
+    capsys.readouterr()
+    assert run([*command, "--onto", "B1", "--resume"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("error:") == 1 and "after-0.stage.npz: it is of other images, options" in said
+    # without the word it is named and done again
+    stopped_at("after-0", [*command, "--onto", "B1"], monkeypatch)
+    assert "after-0.stage.npz is passed over" in capsys.readouterr().err

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 import sightline
+from sightline.applications import tdi_lines
 from sightline.cli.main import run
+from sightline.stages import Stages
+from sightline.tdi import choose
 
 TEXT = """
 name = "<b>five</b> columns"
@@ -301,6 +304,62 @@ NOTHING_TO_SEE = {
     "drift of many pixels": ("[mtf]", '[choice]\nslip_limit = "allow"\n[mtf]'),
     "blur wider than the target": ("[0.5, 0.5]", "[0.01, 0.01]"),
 }
+
+
+def stopped_at(stage: str, count: int, words: list[str], monkeypatch) -> list[str]:
+    """A run that is interrupted when it would keep this stage for the `count`-th time; what it had kept."""
+    put, kept = Stages.put, []
+
+    def some(stages, name, value):
+        if name == stage and kept.count(stage) == count - 1:
+            raise KeyboardInterrupt
+        put(stages, name, value)
+        if stages.has(name):  # not of the other ways to choose, which are kept nowhere
+            kept.append(name)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Stages, "put", some)
+        assert run(words) == 130
+    return kept
+
+
+def test_a_run_that_was_stopped_time_and_again_goes_on_to_the_same_bits(toml, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(choose, "CHUNK", 2)
+    monkeypatch.setattr(choose, "KEPT_SECONDS", 0.0)
+    monkeypatch.setattr(tdi_lines, "AT_ONCE", 16)  # two lines of eight columns
+    toml.write_text(TEXT + "[choice]\nhysteresis = 0.02\n")
+    image, whole, out = tmp_path / "image.npy", tmp_path / "whole", tmp_path / "out"
+    np.save(image, np.random.default_rng(3).uniform(5.0, 1200.0, (9, 8)).astype(np.float32))
+    words = ["tdi", str(toml), "--no-pictures", "--signals", str(image)]
+    assert run([*words, "--out", str(whole)]) == 0
+    words += ["--out", str(out)]
+    assert stopped_at("choice", 3, words, monkeypatch) == ["choice", "choice"]
+    assert "finished stages wait in" in capsys.readouterr().err
+    kept = stopped_at("table", 1, [*words, "--resume"], monkeypatch)
+    assert kept == ["choice", "other-ways", "steady"]  # the last columns of the choice alone
+    kept = stopped_at("lines-3", 1, words, monkeypatch)
+    assert kept == ["table", "losses", "lines-0", "lines-1", "lines-2"]
+    assert run([*words, "--resume"]) == 0
+    assert not (out / ".partial").exists()
+    assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
+    for path in whole.iterdir():
+        if path.name not in ("report.html", "summary.json"):
+            assert (out / path.name).read_bytes() == path.read_bytes(), path.name
+    mine, theirs = (json.loads((place / "summary.json").read_text()) for place in (out, whole))
+    assert {key for key in theirs if mine[key] != theirs[key]} <= {"wall_seconds", "peak_memory_bytes"}
+
+
+def test_a_run_of_another_input_is_refused_where_it_is_to_go_on(toml, tmp_path, capsys, monkeypatch):
+    words = ["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]
+    stopped_at("table", 1, words, monkeypatch)
+    toml.write_text(TEXT.replace("read = 12.0", "read = 13.0"))
+    capsys.readouterr()
+    assert run([*words, "--resume"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("error:") == 1 and "choice.stage.npz: it is of other images, options" in said
+    assert "leave --resume out" in said
+    # as it says: named and done again
+    assert run(words) == 0 and "choice.stage.npz is passed over" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("what", NOTHING_TO_SEE)

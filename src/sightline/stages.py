@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import said_by
+from sightline.errors import InputError, said_by
 from sightline.version import VERSION
 
 T = TypeVar("T")
@@ -39,6 +39,8 @@ _NONE, _CLASS, _COUNT, _SIZE = "none", "class", "#", "size"
 #: Items of tuples that are kept as one array.
 _PLAIN = (str, bool, int, float)
 _SUFFIX = ".stage.npz"
+#: What is said of a stage whose fingerprint is another.
+_OTHER = "it is of other images, options or another version"
 
 
 class Stages:
@@ -50,6 +52,8 @@ class Stages:
         Where results are kept, made when the first is; None: nowhere, everything is computed.
     warn : callable, optional
         Called with a text where a file is passed over.
+    refuse : bool
+        Whether a stage of other inputs is refused in place of being passed over: the user asked to go on.
 
     Attributes
     ----------
@@ -59,8 +63,10 @@ class Stages:
         CPU seconds of earlier runs in what was taken from the folder so far.
     """
 
-    def __init__(self, folder: Path | None = None, warn: Callable[[str], None] | None = None) -> None:
-        self._folder, self._warn = folder, warn
+    def __init__(
+        self, folder: Path | None = None, warn: Callable[[str], None] | None = None, *, refuse: bool = False
+    ) -> None:
+        self._folder, self._warn, self._refuse = folder, warn, refuse
         self._key = hashlib.sha256(VERSION.encode())
         self.computed: list[str] = []
         self.found: list[str] = []
@@ -104,6 +110,18 @@ class Stages:
         self._keep(name, packed, spent)
         return unpack(kind, packed)
 
+    def once(self, name: str, kind: type[T], compute: Callable[[], T]) -> T:
+        """As `stage`, but what was computed is given as it is, and what was found may be written to.
+
+        For results that compiled kernels go on with, and stages that have none within them.
+        """
+        found = self.held(name, kind, writeable=True)
+        if found is None:
+            self._since = time.process_time()
+            found = compute()
+            self.put(name, found)
+        return found
+
     def held(self, name: str, kind: type[T], *, writeable: bool = False) -> T | None:
         """A stage's result where an earlier run has left it; None otherwise.
 
@@ -114,6 +132,11 @@ class Stages:
             Dataclass that the result is one of.
         writeable : bool
             Whether its arrays may be written to, as those of a run that computes them may.
+
+        Raises
+        ------
+        InputError
+            If it is of other inputs, and such are refused.
         """
         packed = self._read(name)
         if packed is None:
@@ -205,14 +228,21 @@ class Stages:
         try:
             with np.load(self._path(name), allow_pickle=False) as file:
                 if str(file[_KEY]) != self._fingerprint(name):
-                    self._pass_over(name, "it is of other images, options or another version")
+                    self._pass_over(name, _OTHER, refuse=self._refuse)
                     return None
                 return {key: file[key] for key in file.files if key != _KEY}
+        except InputError:
+            raise
         except Exception as error:  # a damaged file: whatever unpacking it raises
             self._pass_over(name, f"it cannot be read ({said_by(error)})")
             return None
 
-    def _pass_over(self, name: str, why: str) -> None:
+    def _pass_over(self, name: str, why: str, *, refuse: bool = False) -> None:
+        if refuse:
+            raise InputError(
+                f"{self._path(name)}: {why} than those given now, and --resume cannot go on from it; give "
+                "what that run was given, or another --out, or leave --resume out to do it again"
+            )
         if self._warn is not None:
             self._warn(f"{self._path(name)} is passed over, {why}; the stage is done again")
 

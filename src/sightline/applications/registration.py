@@ -28,6 +28,7 @@ from sightline.motion.strip.relief import RowRelief
 from sightline.products.band_fit import BandFit, fit_bands
 from sightline.products.register_bands import RaisedGround, RegisteredImage, band_map
 from sightline.result import Result, makes_result
+from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 
@@ -131,14 +132,19 @@ def fit_every_pair(
     search_px: tuple[int, int] = (8, 8),
     coarse: Sequence[int] = (),
     step: Step = no_step,
+    stages: Stages | None = None,
+    name: str = "fit",
 ) -> list[BandFit]:
     """How every pair of images of one grid fits (`products.band_fit.fit_bands`), pairs counted by `step`.
 
-    `coarse` is as in `Registration`.
+    `coarse` is as in `Registration`; a pair is a stage of `stages`, by the `name` of all.
     """
-    pairs = stepped(list(combinations(range(len(images)), 2)), step)
-    factor = coarse or (1,) * len(images)
+    kept, factor = stages or Stages(), coarse or (1,) * len(images)
+
+    def fit(a: int, b: int) -> BandFit:
+        return fit_bands(images[a], images[b], (a, b), search_px=search_px, factor=max(factor[a], factor[b]))
+
     return [
-        fit_bands(images[a], images[b], (a, b), search_px=search_px, factor=max(factor[a], factor[b]))
-        for a, b in pairs
+        kept.once(f"{name}-{a}-{b}", BandFit, partial(fit, a, b))
+        for a, b in stepped(list(combinations(range(len(images)), 2)), step)
     ]

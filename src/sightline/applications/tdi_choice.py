@@ -11,10 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.errors import InputError, computes
 from sightline.execution import Progress, one_blas_thread, silent, steps_of
 from sightline.result import Result, makes_result, one_line
+from sightline.stages import Stages
 from sightline.tdi.choose import FREE, LIMITS, TdiChoice, choose_settings, merit_of
 from sightline.tdi.hysteresis import SteadyChoice, steady_choice
 from sightline.tdi.merit import (
@@ -214,7 +216,9 @@ class TdiResult(Result):
 @makes_result
 @one_blas_thread
 @computes("the choice of TDI stages")
-def choose_tdi(problem: TdiProblem, *, progress: Progress | None = None) -> TdiResult:
+def choose_tdi(
+    problem: TdiProblem, *, progress: Progress | None = None, stages: Stages | None = None
+) -> TdiResult:
     """Choose the number of TDI stages and the integration ratio of every column and signal.
 
     Parameters
@@ -222,6 +226,8 @@ def choose_tdi(problem: TdiProblem, *, progress: Progress | None = None) -> TdiR
     problem : TdiProblem
     progress : callable, optional
         Called with what is being done, how much of it is done, and how much it is.
+    stages : Stages, optional
+        Where finished steps are kept, to go on from after a stop.
 
     Returns
     -------
@@ -241,42 +247,107 @@ def choose_tdi(problem: TdiProblem, *, progress: Progress | None = None) -> TdiR
     [64, 43, 21]
     """
     check_slip(problem.columns, problem.rules)
-    tell = progress or silent
+    tell, kept = progress or silent, stages or Stages()
+    kept.depend(problem)
     step = steps_of(tell, f"choosing among {len(problem.grid)} settings")
     choice = choose_settings(
-        problem.model, problem.signals, problem.grid, problem.detector, problem.rules, step
+        problem.model, problem.signals, problem.grid, problem.detector, problem.rules, step, kept
     )
     tell("comparing with other ways to choose")
-    ways = _other_ways(problem, choice)
+    ways = kept.once("other-ways", _OtherWays, lambda: _OtherWays(*_other_ways(problem, choice)))
     steady = None
     if problem.hysteresis > 0.0 or problem.largest_step is not None:
-        steady = steady_choice(problem.model, choice, problem.hysteresis, largest_step=problem.largest_step)
+        steady = kept.once("steady", _Steady, lambda: _Steady.of(problem, choice)).of_choice(choice)
     tell("building the table")
-    table, certificate = build_table(
-        problem.model, choice, problem.max_loss,
-        hysteresis=problem.hysteresis, largest_step=problem.largest_step,
-    )  # fmt: skip
+    built = kept.once("table", _Built, lambda: _Built.of(problem, choice))
+    table, certificate = built.table, built.certificate
     used = choice if steady is None else steady.choice
-    loss = predict_loss(used, problem.model)
+    losses = kept.once(
+        "losses",
+        _Losses,
+        lambda: _Losses(predict_loss(used, problem.model), _table_loss(problem, choice, table)),
+    )
+    patent = ways.patent
     warnings = (
         problem.notes
-        + _warnings(problem, choice, ways[-1], certificate)
+        + _warnings(problem, choice, patent, certificate)
         + _jumps(used, moved=problem.motion is not None)
     )
-    comparison = _comparison(problem, ways[-1])
+    comparison = _comparison(problem, patent)
     return TdiResult(
         problem,
         used,
         steady,
-        *ways,
+        ways.one_setting,
+        ways.one_signal,
+        patent,
         _landscape(problem),
         table,
         certificate,
-        _table_loss(problem, choice, table),
-        loss if len(loss.draws) > 1 else None,
+        losses.of_table,
+        losses.predicted if len(losses.predicted.draws) > 1 else None,
         warnings if comparison is None else (*warnings, comparison),
         comparison,
     )
+
+
+# What is kept of a step: arrays and numbers; columns, signals and detector are the problem's.
+
+
+@dataclass(frozen=True, eq=False)
+class _OtherWays:
+    one_setting: OtherWay
+    one_signal: OtherWay
+    patent: OtherWay
+
+
+@dataclass(frozen=True, eq=False)
+class _Steady:
+    """A `SteadyChoice` by what sets it apart from the free choice."""
+
+    setting: Index
+    mtf: Array
+    snr: Array
+    loss: Array
+    too_far: NDArray[np.bool_]
+    changes: tuple[int, int]
+    steps: tuple[int, int]
+
+    @classmethod
+    def of(cls, problem: TdiProblem, choice: TdiChoice) -> _Steady:
+        """It is found."""
+        found = steady_choice(problem.model, choice, problem.hysteresis, largest_step=problem.largest_step)
+        return cls(
+            found.choice.setting, found.choice.mtf, found.choice.snr, found.loss, found.too_far,
+            (found.changes_before, found.changes_after),
+            (found.largest_step_before, found.largest_step_after),
+        )  # fmt: skip
+
+    def of_choice(self, choice: TdiChoice) -> SteadyChoice:
+        """It is given."""
+        settled = replace(choice, setting=self.setting, mtf=self.mtf, snr=self.snr)
+        return SteadyChoice(settled, self.loss, self.too_far, *self.changes, *self.steps)
+
+
+@dataclass(frozen=True, eq=False)
+class _Built:
+    table: TdiTable
+    certificate: Certificate
+
+    @classmethod
+    def of(cls, problem: TdiProblem, choice: TdiChoice) -> _Built:
+        """It is built."""
+        table, certificate = build_table(
+            problem.model, choice, problem.max_loss,
+            hysteresis=problem.hysteresis, largest_step=problem.largest_step,
+        )  # fmt: skip
+        return cls(table, certificate)
+
+
+@dataclass(frozen=True, eq=False)
+class _Losses:
+    predicted: PredictedLoss
+    of_table: TableLoss
 
 
 def check_slip(columns: ScanColumns, rules: ChoiceRules) -> None:

@@ -9,7 +9,7 @@ Not here: the choice (``tdi_choice.py``), files (``io/results/tdi_settings.py``)
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from sightline.applications.tdi_choice import TdiResult
 from sightline.errors import InputError
 from sightline.imaging.source import ImageSource
+from sightline.stages import Stages
 from sightline.tdi.hysteresis import LineHold, MeritFactors, merit_factors
 from sightline.tdi.merit import SomeColumns
 from sightline.tdi.setting import Array, Index, ScanColumns
@@ -90,6 +91,16 @@ class LineCounts:
                     f"{100.0 * count / self.pixels:.3g} % of the pixels of the image of signals {words}"
                 )
         return said
+
+
+@dataclass(frozen=True, eq=False)
+class _LinesDone:
+    """Tags of some lines; and when they were done what was counted so far, and the settings to go on from."""
+
+    tags: TdiTags
+    counts: LineCounts
+    last: Index
+    held: Index
 
 
 def check_columns(image: ImageSource, columns: ScanColumns) -> None:
@@ -173,13 +184,25 @@ class SignalLines:
         number = np.searchsorted(grid.ratios, ratio - 1e-12)
         return (row * len(grid.ratios) + number).astype(np.intp), table.flags(words)[0]
 
-    def blocks(self) -> Iterator[TdiTags]:
-        """Tags of some lines after the other; `counts` is complete when the last was given."""
-        result, counts = self.result, self.counts
+    def blocks(self, stages: Stages | None = None) -> Iterator[TdiTags]:
+        """Tags of some lines after the other; `counts` is complete when the last was given.
+
+        Each block is a stage: those that an earlier run has done are taken from there.
+        """
+        result, counts, kept = self.result, self.counts, stages or Stages()
         table = result.table
         size = max(AT_ONCE // counts.columns, 1)
         before: Index | None = None
-        for first in range(0, counts.lines, size):
+        for number, first in enumerate(range(0, counts.lines, size)):
+            done = kept.held(f"lines-{number}", _LinesDone, writeable=True)
+            if done is not None:
+                before = done.last
+                for each in fields(LineCounts):
+                    setattr(counts, each.name, getattr(done.counts, each.name))
+                if self._hold is not None:
+                    self._hold.last = done.held
+                yield done.tags
+                continue
             signals = self._read(first, min(first + size, counts.lines))
             setting, infeasible = self._settings(signals)
             tags = tag_lines(
@@ -205,6 +228,8 @@ class SignalLines:
             counts.most = max(counts.most, int(tags.stages.max()))
             counts.total += int(tags.stages.sum(dtype=np.int64))
             before = setting[-1]
+            held = np.zeros(0, dtype=np.intp) if self._hold is None else self._hold.last
+            kept.put(f"lines-{number}", _LinesDone(tags, counts, before, held))
             yield tags
 
     def _read(self, first: int, last: int) -> Array:

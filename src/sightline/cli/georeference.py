@@ -64,20 +64,19 @@ def georeference(
 
     from sightline.applications.sequence_between import interpolate_between
     from sightline.applications.sequence_poses import georeference_sequence
-    from sightline.cli.output import output_folder, stages_folder
+    from sightline.cli.output import finished_stages, output_folder
     from sightline.cli.terminal import announce, complain, print_json, progress, say
     from sightline.errors import InputError, naming
     from sightline.io.results.cube_summary import check_cube, ready_to_georeference
     from sightline.io.sequence.load import read_sequence
     from sightline.kinds.sequence import Poses
-    from sightline.stages import Stages
 
     begun = time.perf_counter()
     with (
         output_folder(out, overwrite=overwrite, resume=resume) as folder,
         progress() as report,
     ):
-        stages = Stages(stages_folder(out), lambda text: complain("warning", text))
+        stages = finished_stages(out)
         report(f"reading {file}")
         sequence = read_sequence(file)
         cost = ready_to_georeference(sequence, maps=not poses_only)

@@ -41,7 +41,7 @@ RECORDS = ".batch"
 #: Commands that take ``--workers`` in the sense of one job.
 ONE_JOB = frozenset(("recover", "georeference", "orient", "register", "tdi", "layout", "match", "tie"))
 #: Those that keep finished stages.
-_STAGED = frozenset(("recover", "georeference"))
+_STAGED = frozenset(("recover", "georeference", "tdi"))
 #: s that a job waits for one that still writes into its folder: on a cluster whose scheduler was lost, or cut
 #: off from it, a job goes on to its end.
 _WAITS, _LOOKS = 300.0, 2.0

@@ -44,12 +44,11 @@ def recover(
     allow_network: AllowNetwork = False,
 ) -> None:
     """Recover roll, pitch and yaw with their sigma: per line of a strip's bands, or per frame."""
-    from sightline.cli.output import output_folder, stages_folder
-    from sightline.cli.terminal import answered, complain, progress, say
+    from sightline.cli.output import finished_stages, output_folder
+    from sightline.cli.terminal import answered, progress, say
     from sightline.io.results.hidden import TABLE
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.report.words import grouped, withheld_words
-    from sightline.stages import Stages
 
     left_out = (withhold,) if withhold else ()
     RecoverOptions(method=method, withhold=left_out)  # a word that is none is refused before anything is read
@@ -58,7 +57,7 @@ def recover(
         output_folder(out, overwrite=overwrite, resume=resume) as folder,
         progress() as report,
     ):
-        stages = Stages(stages_folder(out), lambda text: complain("warning", text))
+        stages = finished_stages(out)
         summary = recover_into(folder, acquisition, report, method=method, withhold=left_out, stages=stages)
     if answered(summary, as_json):
         return

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume, Workers
 from sightline.execution import Progress
+
+if TYPE_CHECKING:
+    from sightline.stages import Stages
 
 
 class PixelType(StrEnum):
@@ -43,20 +46,23 @@ def register(
     ] = None,
     stack: Annotated[bool, typer.Option("--stack", help="One file of all bands, not one for each.")] = False,
     workers: Workers = None,
+    resume: Resume = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
     """Lay the bands of a strip on one of them, or the frames of a spinning camera into one picture."""
-    from sightline.cli.output import output_folder
+    from sightline.cli.output import finished_stages, output_folder
     from sightline.cli.terminal import answered, progress, say
 
     with (
-        output_folder(out, overwrite=overwrite) as folder,
+        output_folder(out, overwrite=overwrite, resume=resume) as folder,
         progress() as report,
     ):
+        stages = finished_stages(out, refuse=resume and not overwrite)
+        kind = pixels and pixels.value
         summary = register_into(
-            folder, acquisition, motion, report, onto=onto, pixels=pixels and pixels.value, stack=stack
+            folder, acquisition, motion, report, onto=onto, pixels=kind, stack=stack, stages=stages
         )
     if answered(summary, as_json):
         return
@@ -92,6 +98,7 @@ def register_into(
     onto: str | None = None,
     pixels: str | None = None,
     stack: bool = False,
+    stages: Stages | None = None,
 ) -> dict[str, Any]:
     """Register what `acquisition` holds, write images, summary and report into `folder`; the summary."""
     import time
@@ -123,6 +130,9 @@ def register_into(
             'of a camera that spins ([platform] kind = "spin")'
         )
     recovered = as_given(acquired) if motion is None else read_recovered(motion, acquired)
+    if stages is not None:
+        found = [recovered.motion, recovered.statics, recovered.relief]
+        stages.depend([acquired.inputs, acquired.bands, acquired.surface, found, onto, pixels, stack])
     with naming(acquisition):
         registration = register_bands(
             acquired.bands,
@@ -132,4 +142,4 @@ def register_into(
             relief=recovered.relief,
             onto=onto,
         )
-    return Registered().render(registration, folder, report, begin, pixels=pixels, stack=stack)
+    return Registered().render(registration, folder, report, begin, pixels=pixels, stack=stack, stages=stages)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Workers
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume, Workers
 from sightline.execution import Progress
+
+if TYPE_CHECKING:
+    from sightline.stages import Stages
 
 
 def tdi(
@@ -38,20 +41,22 @@ def tdi(
         ),
     ] = True,
     workers: Workers = None,
+    resume: Resume = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
     """Choose TDI stages and integration ratio per column and signal, as a table looked up at line rate."""
-    from sightline.cli.output import output_folder
+    from sightline.cli.output import finished_stages, output_folder
     from sightline.cli.terminal import answered, progress, say
     from sightline.io.results.tdi_settings import SETTINGS, TAGS
 
     with (
-        output_folder(out, overwrite=overwrite) as folder,
+        output_folder(out, overwrite=overwrite, resume=resume) as folder,
         progress() as report,
     ):
-        summary = choose_into(folder, file, motion, report, pictures=pictures, signals=signals)
+        stages = finished_stages(out, refuse=resume and not overwrite)
+        summary = choose_into(folder, file, motion, report, pictures=pictures, signals=signals, stages=stages)
     if answered(summary, as_json):
         return
     tell(summary)
@@ -68,6 +73,7 @@ def choose_into(
     *,
     pictures: bool,
     signals: Path | None = None,
+    stages: Stages | None = None,
 ) -> dict[str, Any]:
     """Choose for a TDI.toml, write every file of the result, give the summary."""
     import time
@@ -80,6 +86,7 @@ def choose_into(
     from sightline.io.results.tdi_settings import open_signals
     from sightline.io.tdi.load import load_tdi
     from sightline.kinds.tdi import Choice
+    from sightline.result import source_of
 
     begun = time.perf_counter()
     image = None if signals is None else open_signals(signals)
@@ -89,8 +96,10 @@ def choose_into(
             check_columns(image, problem.columns)
     announce(tdi_cost(problem))
     with naming(file):
-        chosen = choose_tdi(problem, progress=report)
-    return Choice().render(chosen, folder, report, begun, pictures=pictures, signals=signals)
+        if stages is not None:
+            stages.depend([source_of(problem), signals])
+        chosen = choose_tdi(problem, progress=report, stages=stages)
+    return Choice().render(chosen, folder, report, begun, pictures=pictures, signals=signals, stages=stages)
 
 
 def tell(summary: dict[str, Any]) -> None:

@@ -27,6 +27,7 @@ from sightline.kinds.recovery import acquisition_of, folder_and_acquisition
 from sightline.products.frame_mosaic import Mosaic
 from sightline.report.register_page import register_page
 from sightline.result import source_of
+from sightline.stages import Stages
 from sightline.version import VERSION
 
 
@@ -86,16 +87,22 @@ class Registered(ResultKind):
         *,
         pixels: str | None = None,
         stack: bool = False,
+        stages: Stages | None = None,
     ) -> dict[str, Any]:
-        """Resample all bands into files, match them with each other, write summary and page."""
+        """Resample all bands into files, match them with each other, write summary and page.
+
+        `stages` keep blocks of lines and fits of pairs.
+        """
         acquired = acquisition_of(result)
         search = tuple(acquired.matching.get("search_px", (8, 8)))
         search_px = (int(search[0]), int(search[1]))
-        with write_products(folder, result, acquired, pixels=pixels, stack=stack, tell=tell) as written:
+        with write_products(
+            folder, result, acquired, pixels=pixels, stack=stack, tell=tell, stages=stages
+        ) as written:
             step = steps_of(tell, "matching all pairs of bands, as they were and as they are now")
-            fit = partial(fit_every_pair, search_px=search_px, coarse=result.coarse)
-            before = fit(written.before, step=part_of(step, 0, 2))
-            after = fit(written.after, step=part_of(step, 1, 2))
+            fit = partial(fit_every_pair, search_px=search_px, coarse=result.coarse, stages=stages)
+            before = fit(written.before, step=part_of(step, 0, 2), name="fit-before")
+            after = fit(written.after, step=part_of(step, 1, 2), name="fit-after")
             summary = summarize_registration(acquired, result, _recovered(result), written, before, after)
             summary["wall_seconds"] = time.perf_counter() - begun
             tell("writing the report")

@@ -21,6 +21,7 @@ from sightline.io.results.tdi_table import write_table
 from sightline.kinds.kind import REPORT, SUMMARY, Columns, ResultKind, Tell, warned
 from sightline.report.tdi_page import tdi_page
 from sightline.result import source_of
+from sightline.stages import Stages
 from sightline.tdi.choose import LIMITS
 from sightline.tdi.table import IMAGE_FILE, TdiTable
 
@@ -74,8 +75,9 @@ class Choice(ResultKind):
         *,
         pictures: bool = True,
         signals: str | Path | None = None,
+        stages: Stages | None = None,
     ) -> dict[str, Any]:
-        """Every file; `pictures` of a target, settings and tags of an image of `signals`."""
+        """Every file; `pictures` of a target, settings and tags of an image of `signals`, by its stages."""
         target = None
         lines = None if signals is None else signal_lines(result, Path(signals))
         # the target drifts steadily: under a motion it would look as sharp as it is not
@@ -90,7 +92,8 @@ class Choice(ResultKind):
         more: dict[str, Any] = {}
         warnings = list(result.warnings)
         if lines is not None:
-            more["signal_image"] = write_signal_lines(folder, lines, partial(tell, "settings of the lines"))
+            step = partial(tell, "settings of the lines")
+            more["signal_image"] = write_signal_lines(folder, lines, step, stages)
             warnings += lines.counts.warnings(result.table)
         inputs = (*_inputs(result), *([] if signals is None else [Path(signals)]))
         seconds = time.perf_counter() - begun

@@ -210,8 +210,15 @@ def _blank_masked(values: Pixels, bad: NDArray[np.bool_], position: Array, nodes
         values[:, nodes[m] : nodes[m + 1]][share > MASK_SHARE] = np.nan
 
 
+def values_of_lines(source: ImageSource, first: int, last: int) -> Pixels:
+    """Lines [first, last) of an image, NaN where it has no value."""
+    window = (first, last), (0, source.shape[1])
+    pixels, bad = source.read(*window), source.mask(*window)
+    return pixels if bad is None else np.where(bad, np.float32(np.nan), pixels)
+
+
 def line_blocks(
-    sources: Sequence[ImageSource], *, threads: int | None = None
+    sources: Sequence[ImageSource], *, begin: int = 0, threads: int | None = None
 ) -> Iterator[tuple[int, list[Pixels]]]:
     """Images of one size from top to bottom in blocks of lines, read on threads.
 
@@ -219,6 +226,8 @@ def line_blocks(
     ----------
     sources : sequence of ImageSource
         All of one shape.
+    begin : int
+        First line that is wanted, the first of a block.
     threads : int, optional
         As in ``execution.in_threads``; so many blocks are held at a time.
 
@@ -235,11 +244,9 @@ def line_blocks(
 
     def work(job: tuple[int, ImageSource]) -> Pixels:
         first, source = job
-        window = (first, min(first + height, lines)), (0, columns)
-        pixels, bad = source.read(*window), source.mask(*window)
-        return pixels if bad is None else np.where(bad, np.float32(np.nan), pixels)
+        return values_of_lines(source, first, min(first + height, lines))
 
-    starts = range(0, lines, height)
+    starts = range(begin, lines, height)
     for k in range(0, len(starts), together):
         group = starts[k : k + together]
         done = in_threads(work, [(first, source) for first in group for source in sources], threads)

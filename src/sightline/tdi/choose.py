@@ -5,12 +5,14 @@ Not here: what a setting makes of the image (``merit.py``), the table a flight c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.execution import Step, no_step, stepped
+from sightline.stages import Stages
 from sightline.tdi.kernels import best_settings
 from sightline.tdi.merit import (
     ColumnFactors,
@@ -36,6 +38,8 @@ FREE, SATURATION, MAIN_LOBE, MTF, SNR = range(5)
 INFEASIBLE = 4
 #: Columns whose transfer functions are held at once.
 CHUNK = 128
+#: s after which columns that are done are kept.
+KEPT_SECONDS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +94,23 @@ class TdiChoice:
         return np.asarray(self.limit > INFEASIBLE)
 
 
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """Arrays of a `TdiChoice` of which the first `done` blocks of columns are filled."""
+
+    done: int
+    setting: Index
+    mtf: Array
+    snr: Array
+    limit: Small
+
+    @classmethod
+    def none(cls, shape: tuple[int, int]) -> _Chosen:
+        """Room for columns x signals."""
+        setting, limit = np.empty(shape, dtype=np.intp), np.empty(shape, dtype=np.uint8)
+        return cls(0, setting, np.empty((*shape, 2)), np.empty(shape), limit)
+
+
 def choose_settings(
     model: ColumnMtf,
     signals: Array,
@@ -97,6 +118,7 @@ def choose_settings(
     detector: TdiDetector,
     rules: ChoiceRules,
     step: Step = no_step,
+    stages: Stages | None = None,
 ) -> TdiChoice:
     """The best setting of every column and signal.
 
@@ -111,6 +133,8 @@ def choose_settings(
     rules : ChoiceRules
     step : callable
         Called with the number of blocks of columns that are done, and of all.
+    stages : Stages, optional
+        Where the choice is kept, and every `KEPT_SECONDS` the columns that are done.
 
     Returns
     -------
@@ -122,12 +146,14 @@ def choose_settings(
     taken. Where no setting keeps all limits, the bounds of SNR are given up first, then those of MTF, then
     the main lobe; a well that overflows loses the scene, so that the least full comes last of all.
     """
-    columns = model.columns
-    shape = (len(columns), len(signals))
-    setting, limit = np.empty(shape, dtype=np.intp), np.empty(shape, dtype=np.uint8)
-    mtf, snr = np.empty((*shape, 2)), np.empty(shape)
+    columns, kept = model.columns, stages or Stages()
+    found = kept.held("choice", _Chosen, writeable=True) or _Chosen.none((len(columns), len(signals)))
+    setting, limit, mtf, snr = found.setting, found.limit, found.mtf, found.snr
     last: TdiDetector | None = None
-    for of_kind, part in stepped(_chunks(columns, detector), step):
+    chunks, when = _chunks(columns, detector), time.monotonic()
+    for number, (of_kind, part) in enumerate(stepped(chunks, step), 1):
+        if number <= found.done:
+            continue
         if of_kind is not last:
             by_signal = signal_factors(signals, grid, of_kind, rules)
             fullness, last = _fullness(signals, grid, of_kind), of_kind
@@ -136,6 +162,9 @@ def choose_settings(
         setting[part], limit[part] = chosen, why
         mtf[part] = np.take_along_axis(by_column.mtf, chosen[..., None], axis=1)
         snr[part] = np.take_along_axis(by_signal.snr, chosen.T, axis=1).T
+        if number == len(chunks) or time.monotonic() - when > KEPT_SECONDS:
+            kept.put("choice", replace(found, done=number))
+            when = time.monotonic()
     return TdiChoice(columns, signals, grid, detector, rules, setting, mtf, snr, limit)
 
 

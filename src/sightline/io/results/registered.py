@@ -26,7 +26,8 @@ from sightline.imaging.source import ImageSource
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.images import open_image
 from sightline.io.names import file_stems
-from sightline.products.register_bands import line_blocks
+from sightline.products.register_bands import line_blocks, values_of_lines
+from sightline.stages import Stages
 from sightline.writing import must_fit, naming_file, whole_raster
 
 Pixels = NDArray[np.float32]
@@ -108,6 +109,7 @@ def write_products(
     pixels: str | None = None,
     stack: bool = False,
     tell: Progress = silent,
+    stages: Stages | None = None,
 ) -> Iterator[Written]:
     """Write the registered bands; what they were before lies beside them until the block ends.
 
@@ -123,17 +125,22 @@ def write_products(
         One file, ``registered.tif``, in place of ``NAME.tif`` for each band.
     tell : callable
         Called with what is being done, in words.
+    stages : Stages, optional
+        Each block of lines is one, where the disk has room for them besides the images.
     """
     names, every = acquisition.names, range(len(acquisition.bands))
     parts = [list(every)] if stack else [[k] for k in every]
     files = ["registered.tif"] if stack else [f"{stem}.tif" for stem in file_stems(names)]
     dtypes = [pixel_type(acquisition, part, pixels) for part in parts]
     step = steps_of(tell, "resampling the bands")
+    size = sum(len(part) * dtype.itemsize for part, dtype in zip(parts, dtypes, strict=True))
+    kept = stages if stages is not None and _room_for_stages(folder, registration, size) else Stages()
+    reference, grid = registration.reference, grid_of(acquisition, registration.reference)
     valid = write_registered(
         [folder / file for file in files],
         [[names[k] for k in part] for part in parts],
-        counted_lines(registration.after, step),
-        grid_of(acquisition, registration.reference),
+        counted_lines(kept_lines(registration.after, reference, kept, "after"), grid.shape[0], step),
+        grid,
         dtypes,
     )
     places = [(part.index(k) + 1, file) for part, file in zip(parts, files, strict=True) for k in part]
@@ -142,21 +149,64 @@ def write_products(
     draft = folder / ".before"
     draft.mkdir()
     try:
-        before = _stored(draft, registration, step)
+        before = _stored(draft, registration, step, kept)
         types = tuple(dtypes[n].name for n, part in enumerate(parts) for _ in part)
         yield Written(tuple(files), before, after, tuple(valid), types)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def counted_lines(sources: Sequence[ImageSource], step: Step) -> Iterator[tuple[int, list[Pixels]]]:
-    """`line_blocks` of some images, lines counted as they are done with."""
-    for first, pixels in line_blocks(sources):
+@dataclass(frozen=True, eq=False)
+class _LinesDone:
+    """Resampled lines (lines, columns) of the bands that are not the reference, one after the other."""
+
+    pixels: tuple[Pixels, ...]
+
+
+def _room_for_stages(folder: Path, registration: Registration, pixel_bytes: int) -> bool:
+    """Whether the disk holds finished blocks besides what the run itself writes: they must not end it."""
+    lines, columns = registration.before[registration.reference].shape
+    moved = len(registration.before) - 1
+    # the draft and the image made of it; blocks of both sets of cameras, and the second of them as files
+    each = 2 * pixel_bytes + 3 * 4 * moved
+    return bool(shutil.disk_usage(folder).free > lines * columns * each)
+
+
+def kept_lines(
+    sources: Sequence[ImageSource], reference: int, stages: Stages, name: str
+) -> Iterator[tuple[int, list[Pixels]]]:
+    """`line_blocks` of images, each block a stage: an earlier run's first blocks are taken from there.
+
+    The image number `reference` is read in any case: it is a file, or among those left out (-1).
+    """
+    number, begin, lines = 0, 0, sources[0].shape[0]
+    while begin < lines:
+        done = stages.held(f"{name}-{number}", _LinesDone)
+        if done is None:
+            break
+        pixels, last = list(done.pixels), begin + len(done.pixels[0])
+        if reference >= 0:
+            pixels.insert(reference, values_of_lines(sources[reference], begin, last))
+        yield begin, pixels
+        number, begin = number + 1, last
+    for first, pixels in line_blocks(sources, begin=begin):
+        moved = tuple(image for k, image in enumerate(pixels) if k != reference)
+        if moved:
+            stages.put(f"{name}-{number}", _LinesDone(moved))
         yield first, pixels
-        step(first + len(pixels[0]), sources[0].shape[0])
+        number += 1
 
 
-def _stored(folder: Path, registration: Registration, step: Step) -> tuple[ImageSource, ...]:
+def counted_lines(
+    blocks: Iterator[tuple[int, list[Pixels]]], lines: int, step: Step
+) -> Iterator[tuple[int, list[Pixels]]]:
+    """Blocks of images of so many lines, which are counted as they are done with."""
+    for first, pixels in blocks:
+        yield first, pixels
+        step(first + len(pixels[0]), lines)
+
+
+def _stored(folder: Path, registration: Registration, step: Step, stages: Stages) -> tuple[ImageSource, ...]:
     """The bands by the nominal cameras as files, so that nothing is resampled twice; the reference itself."""
     moved = [k for k in range(len(registration.before)) if k != registration.reference]
     if not moved:
@@ -167,7 +217,9 @@ def _stored(folder: Path, registration: Registration, step: Step) -> tuple[Image
         for k, table in tables.items():
             header = {"descr": "<f4", "fortran_order": False, "shape": registration.before[k].shape}
             np.lib.format.write_array_header_1_0(table, header)
-        for _, pixels in counted_lines([registration.before[k] for k in moved], step):
+        sources = [registration.before[k] for k in moved]
+        blocks = kept_lines(sources, -1, stages, "before")
+        for _, pixels in counted_lines(blocks, sources[0].shape[0], step):
             for k, block in zip(moved, pixels, strict=True):
                 tables[k].write(np.ascontiguousarray(block, dtype="<f4").data)
     return tuple(

@@ -7,6 +7,7 @@ Not here: what is set (``applications/tdi_lines.py``), the bytes of tags (``tdi_
 
 from __future__ import annotations
 
+import shutil
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,10 +19,13 @@ from sightline.access import check_file, remote_name
 from sightline.applications.tdi_lines import SignalLines
 from sightline.io.formats.images import NpyImage, RasterImage, open_image
 from sightline.io.results.tdi_tags import write_tags
-from sightline.tdi.tagging import TdiTags
+from sightline.stages import Stages
+from sightline.tdi.tagging import FIELDS, TdiTags
 from sightline.writing import whole_raster
 
 SETTINGS, TAGS = "settings.tif", "tags.bin"
+#: Bytes of a pixel in both files at most, and in a stage.
+STAGE_BYTES = 3 * sum(np.dtype(form).itemsize for form in FIELDS.values())
 
 
 def open_signals(path: Path) -> RasterImage | NpyImage:
@@ -38,7 +42,10 @@ def open_signals(path: Path) -> RasterImage | NpyImage:
 
 
 def write_signal_lines(
-    folder: Path, lines: SignalLines, progress: Callable[[int, int], None] | None = None
+    folder: Path,
+    lines: SignalLines,
+    progress: Callable[[int, int], None] | None = None,
+    stages: Stages | None = None,
 ) -> dict[str, Any]:
     """Write both files; gives what ``summary.json`` says of them.
 
@@ -49,12 +56,16 @@ def write_signal_lines(
     lines : SignalLines
     progress : callable, optional
         Called with the lines that are done, and all.
+    stages : Stages, optional
+        Where blocks of lines are kept, if the disk has room for them besides the files.
     """
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.windows import Window
 
     counts = lines.counts
+    if shutil.disk_usage(folder).free < STAGE_BYTES * counts.pixels:
+        stages = None
     profile: dict[str, Any] = {
         "driver": "GTiff", "height": counts.lines, "width": counts.columns, "count": 2, "dtype": "uint16",
         "compress": "deflate", "predictor": 2, "BIGTIFF": "IF_SAFER",
@@ -69,7 +80,7 @@ def write_signal_lines(
 
             def both() -> Iterator[TdiTags]:
                 done = 0
-                for tags in lines.blocks():
+                for tags in lines.blocks(stages):
                     bands = np.stack([tags.stages, tags.ratio_index.astype(np.uint16)])
                     target.write(bands, window=Window(0, done, counts.columns, len(tags)))
                     done += len(tags)

@@ -573,7 +573,7 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
         out[: len(p)] += p
         return out
 
-    # between matching and here much was freed in small pieces, which would stay beside the factor's large ones
+    # what matching and earlier solutions have freed would stay beside the large pieces of the factor
     give_back_memory()
 
     factor = BandedFactor.of_columns(depth - 1, n, columns)
