@@ -285,13 +285,12 @@ def write_aem(
         raise InputError(
             f"{len(t)} times and {len(quat_xyzw)} quaternions were given; one of each per line is needed"
         )
-    stamps = [utc_text(float(instant), epoch) for instant in t]
     header = [
         *_header("AEM", "1.0", originator, object_name, object_id, centre),
         f"REF_FRAME_A = {frame}",
         "REF_FRAME_B = SC_BODY_1",
         "ATTITUDE_DIR = A2B",
-        *_span(stamps),
+        *_span([utc_text(float(instant), epoch) for instant in (t[0], t[-1])]),
         "ATTITUDE_TYPE = QUATERNION",
         "QUATERNION_TYPE = LAST",
         "META_STOP",
@@ -300,8 +299,9 @@ def write_aem(
     ]
     with whole(path) as draft, draft.open("w", encoding="utf-8") as stream:
         stream.write("\n".join(header) + "\n")
-        for stamp, quaternion in zip(stamps, np.asarray(quat_xyzw).tolist(), strict=True):
-            stream.write(stamp + "".join(f" {value:.16f}" for value in quaternion) + "\n")
+        for instant, quaternion in zip(t, np.asarray(quat_xyzw), strict=True):
+            words = "".join(f" {value:.16f}" for value in quaternion.tolist())
+            stream.write(utc_text(float(instant), epoch) + words + "\n")
         stream.write("DATA_STOP\n")
 
 

@@ -62,6 +62,8 @@ SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observ
 MOST_LINES = 10_000.0
 #: Sigmas of a control point by their causes: px of the two pixel coordinates, m of each of the ground.
 _EACH = ["sigma_line", "sigma_column", "sigma_ground"]
+#: Rows that are words at a time where a table is written.
+ROWS_AT_ONCE = 8192
 #: Columns that hold instants.
 _TIMES = ("t", "t_start", "t_end")
 _QUOTE = '"'
@@ -682,24 +684,28 @@ def write_columns(
     formats : mapping, optional
         Header to a ``%`` format; ``%.9g`` for numbers otherwise, times with 17 digits.
     """
-    given = dict(formats or {})
-    cells = []
-    for name, values in columns.items():
-        array = np.asarray(values)
+    given, arrays = dict(formats or {}), {name: np.asarray(values) for name, values in columns.items()}
+    if len({len(array) for array in arrays.values()}) > 1:
+        raise ValueError(f"columns of unlike lengths: { {name: len(a) for name, a in arrays.items()} }")
+
+    def cells(name: str, array: NDArray[Any]) -> list[str]:
         if array.dtype.kind in "US":
-            cells.append([csv_cell(str(word)) for word in array])
-            continue
+            return [csv_cell(str(word)) for word in array]
         if array.dtype.kind in "biu":
-            cells.append([str(int(value)) for value in array])
-            continue
+            return [str(int(value)) for value in array]
         form = given.get(name, "%.17g" if name == "t" or name.startswith("t_") else "%.9g")
-        cells.append([form % value for value in array.tolist()])
+        return [form % value for value in array.tolist()]
+
+    count = len(next(iter(arrays.values()), ()))
     with (
         whole(path) as draft,
         draft.open("w", newline="", encoding="utf-8", errors="backslashreplace") as stream,
     ):
         stream.write(",".join(map(csv_cell, columns)) + "\n")
-        stream.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
+        # some rows at a time: words take ten times the room of numbers
+        for first in range(0, count, ROWS_AT_ONCE):
+            some = [cells(name, array[first : first + ROWS_AT_ONCE]) for name, array in arrays.items()]
+            stream.writelines(",".join(row) + "\n" for row in zip(*some, strict=True))
 
 
 def csv_cell(word: str) -> str:
