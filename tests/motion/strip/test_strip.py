@@ -17,6 +17,8 @@ from sightline.motion.band import Band
 from sightline.motion.strip.strip import RecoverOptions, prepared, suited
 
 SHAPE = (401, 220)
+# a sixth of the columns is less than the least width
+WIDTH = 48
 
 
 @pytest.mark.parametrize(
@@ -50,7 +52,7 @@ def test_rows_follow_a_short_lag(lag, step, window, grid_lines):
     cameras = strip_cameras((0.0, -lag), *SHAPE)
     bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
     found = suited(RecoverOptions(), bands, Plane())
-    assert (found.step, found.window, found.grid_lines) == (step, (window, 100), grid_lines)
+    assert (found.step, found.window, found.grid_lines) == (step, (window, WIDTH), grid_lines)
     # what was asked for stays
     asked = RecoverOptions(step=3)
     assert suited(asked, bands, Plane()) is asked
@@ -75,8 +77,19 @@ def test_rows_of_long_lines_are_near_enough_for_vibrations(period, lag, step, gr
     ]
     bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
     found = suited(RecoverOptions(), bands, Plane())
-    assert (found.step, found.window) == (step, (4, 100))
+    assert (found.step, found.window) == (step, (4, WIDTH))
     assert found.grid_lines == pytest.approx(grid_lines, rel=0.05)
+
+
+@pytest.mark.parametrize(("columns", "width"), [(1000, 100), (600, 100), (352, 58), (300, 50), (150, 48)])
+def test_rows_of_narrow_bands_hold_six_windows_where_these_are_wide_enough(columns, width):
+    image = ArrayImage(np.zeros((401, columns)))
+    cameras = strip_cameras((0.0, -83.0), 401, columns)
+    bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
+    found = suited(RecoverOptions(), bands, Plane())
+    assert found.window == (4, width) and found.first_window == (10, width)
+    asked = RecoverOptions(first_window=(12, 90))
+    assert suited(asked, bands, Plane()).first_window == (12, 90)
 
 
 def late_cameras(*lags):

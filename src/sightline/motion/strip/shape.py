@@ -24,7 +24,7 @@ from sightline.motion.measure.stars import StarRecord
 from sightline.motion.statics import BEND_DEGREES, band_statics, measure_of_shapes
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.joint import nodes_on
-from sightline.motion.strip.strip import RecoverOptions, Shapes, Strip
+from sightline.motion.strip.strip import RecoverOptions, Shapes, Strip, window_columns
 
 Array = NDArray[np.float64]
 
@@ -333,7 +333,7 @@ def windows_over_bends(options: RecoverOptions, bands: Sequence[Band]) -> Recove
     """
     height, width = options.window
     bent = [band.camera.columns for band in bands if band.shape == "polynomial"]
-    if not bent or width != RecoverOptions().window[1]:
+    if not bent or width not in (RecoverOptions().window[1], window_columns(bands)):
         return options
     return replace(options, window=(height, min(width, max(min(bent) // FEW_COLUMNS, LEAST_WIDTH))))
 

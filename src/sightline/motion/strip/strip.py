@@ -49,6 +49,9 @@ HYBRIDISE = ("global", "iterative")
 GROUND_PLACES = 9
 #: Nodes of the motion in the longest lag beyond which they are laid farther apart where images allow it.
 MOST_NODES = 300
+#: Windows in a row of a narrow strip, side by side, and columns of one at least: three tell a layer of clouds
+#: over two of them from the ground only by their height, six show which of them depart together.
+ROW_BLOCKS, LEAST_COLUMNS = 6, 48
 #: s between rows of windows at most, where lines are faster: spacecraft vibrate at up to some 150 Hz.
 ROW_SECONDS = 3.2e-3
 
@@ -216,12 +219,15 @@ class Strip:
 
 
 def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> RecoverOptions:
-    """Options with rows of windows near enough to each other for the shortest lag, and for vibrations.
+    """Options with windows as narrow as the bands ask for, in rows as near as lags and vibrations do.
 
     A pair sees motion by how it differs over its lag: rows farther apart than some half of that sample what
     the pair sees too coarsely, and windows as high as that average it away. Lines of a millisecond and more
     are so far apart that usual rows would take vibrations for their aliases. Windows, rows or nodes that were
     asked for stay as they are.
+
+    Rows of narrow bands hold ROW_BLOCKS windows where these are not too narrow: a window that saw a cloud
+    departs from the others of its row, which takes as many to tell.
 
     Where lags are many nodes, whose square the solution costs, and the coarser image of every pair has long
     lines, nodes are as far apart as on these at most: windows of such lines average what lies between.
@@ -230,6 +236,11 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
     for key in ("window", "step", "grid_lines"):
         if getattr(options, key) != getattr(usual, key):
             return options
+    width = window_columns(bands)
+    first = options.first_window
+    if first == usual.first_window:
+        first = (first[0], width)
+    options = replace(options, first_window=first, window=(usual.window[0], width))
     cameras = [band.camera for band in bands]
     rows = _shortest_lag(cameras, surface) / ROWS_IN_LAG
     if rows >= usual.step:
@@ -245,10 +256,16 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
     step = max(int(rows), 1)
     return replace(
         options,
-        window=(max(step, LEAST_WINDOW), usual.window[1]),
+        window=(max(step, LEAST_WINDOW), width),
         step=step,
         grid_lines=usual.grid_lines * step / usual.step,
     )
+
+
+def window_columns(bands: Sequence[Band]) -> int:
+    """Columns of a window where none are asked for: as usual, fewer where the bands are narrow."""
+    widest = max(band.camera.columns for band in bands)
+    return min(RecoverOptions().window[1], max(widest // ROW_BLOCKS, LEAST_COLUMNS))
 
 
 def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float:
