@@ -408,3 +408,27 @@ def test_noise_gains_by_a_sinusoid_as_often_as_is_said(chance):
     share = (gains.max(axis=1) > gain_of_chance(0.5 * n, chance)).mean()
     # three sigmas of a binomial share, and 5 % for what lies between 8 frequencies per period
     assert abs(share - chance) < 3.0 * np.sqrt(chance / trials) + 0.05 * chance
+
+
+def test_a_sinusoid_beside_a_blind_frequency_is_owned_by_sigma() -> None:
+    # 47 Hz beside 7 / 0.15 s = 46.67: a pair sees 0.31 of it, and would see 0.46 at 47.16, which 0.6 s of
+    # differences hardly tell apart
+    lag, count, draws, rng = 150, 750, 8, np.random.default_rng(3)
+    t = STEP * np.arange(count)
+    broad = Spectrum((Matern(1.0, 0.5, "5/2"), Matern(0.1, 0.011)))
+    factor = np.linalg.cholesky(toeplitz(broad.autocovariance(t)) + 1e-10 * np.eye(count))
+    waves = np.stack([np.cos(2.0 * np.pi * 46.8 * t), np.sin(2.0 * np.pi * 46.8 * t)], axis=1)
+    k = np.arange(0, count - lag, 2)
+    squares = []
+    for phase in rng.uniform(0.0, 2.0 * np.pi, draws):
+        x = factor @ rng.standard_normal(count) + 0.3 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 47.0 * t + phase)
+        values = x[k + lag] - x[k] + 0.05 * rng.standard_normal(len(k))
+        series = [DifferenceSeries(k * STEP, np.full(len(k), lag * STEP), values, np.full(len(k), 0.05**2))]
+        spectrum = fit_spectrum(series, max_tones=3).spectrum
+        now = posterior(
+            series_equations(series, Grid(0.0, STEP, count)), spectrum.autoregressive(STEP, 80, count)
+        )
+        error = waves.T @ (now.mean - x)
+        squares.append(error @ np.linalg.solve(waves.T @ now.covariance_times(waves), error) / 2.0)
+    # sixteen squares: their mean is beyond 2 in one of 200 cases where sigma is true
+    assert np.mean(squares) < 2.0, squares

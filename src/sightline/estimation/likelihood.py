@@ -227,7 +227,7 @@ def fit_spectrum(
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
     model = search.without_products(search.without_idle_tones(model))
-    model = search.improve(model, iterations, settled, adjusted=True)
+    model = search.with_doubtful_tones(search.improve(model, iterations, settled, adjusted=True))
     known = [Tone(model.drift.sigma, f, search.narrow(f)) for f in known_tones]
     model = search.with_possible_tones(
         model, [*known, *(replace(one, sigma=one.sigma / unit) for one in possible)], false_alarm

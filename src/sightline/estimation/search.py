@@ -101,6 +101,9 @@ ADJUSTED = 2.0
 SHOWN_BY, SIZES = 4.0, 2.0
 #: The broadband part, among numbers of tones.
 BROADBAND = -1
+#: How far a tone may be from where it was found, in units of one over the length of the data, and at how many
+#: places; its frequency tells its size where it is seen alike, to this share, wherever it may be.
+DOUBT, DOUBT_PLACES, CLEAR = 1.0, 101, 0.05
 #: Steps of the logarithm of the noise's scale by which its best one is found beside a size.
 SCALE_STEP = 0.1
 #: Least and largest scale of the noise.
@@ -509,6 +512,19 @@ class Search:
         Half the squared cosine and sine of u in units of their covariance F: exponential of mean 1 without
         a tone.
         """
+        c, s, score, seen = self._score_of_waves(now, u, frequency)
+        seen = np.maximum(seen, 1e-12 * float(np.max(seen.sum(axis=1), initial=1.0)))  # blind: tells nothing
+        # what rounding leaves of a wave that is not seen
+        seen[:, 1] = np.maximum(seen[:, 1], 1e-3 * seen[:, 0])
+        return 0.5 * (score**2 / seen).sum(axis=1), c**2 + s**2, seen.sum(axis=1)
+
+    def _score_of_waves(
+        self, now: Posterior, u: Array, frequency: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Scores (N,) of cosine and of sine, those of two phases that err independently (N, 2), F of these.
+
+        The better seen of the two phases is the first.
+        """
         e = now.equations
         phase = 2.0 * math.pi * np.outer(e.grid.step * np.arange(e.grid.count), frequency)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
@@ -516,15 +532,11 @@ class Search:
         seen = now.seen_of(waves)
         cc, ss = np.diag(seen).reshape(2, half)
         cs = np.diag(seen[:half, half:])
-        least = 1e-12 * float(np.max(cc + ss, initial=1.0))  # a blind frequency tells nothing
         middle, spread = 0.5 * (cc + ss), np.hypot(0.5 * (cc - ss), cs)
-        large = np.maximum(middle + spread, least)
-        small = np.maximum(middle - spread, 1e-3 * large)  # what rounding leaves of a wave that is not seen
         turn = 0.5 * np.arctan2(cs, 0.5 * (cc - ss))
         c, s = (u @ waves).reshape(2, half)
         along, beside = c * np.cos(turn) + s * np.sin(turn), s * np.cos(turn) - c * np.sin(turn)
-        gain = 0.5 * (along**2 / large + beside**2 / small)
-        return gain, c**2 + s**2, np.maximum(cc + ss, least)
+        return c, s, np.stack([along, beside], axis=1), np.stack([middle + spread, middle - spread], axis=1)
 
     def with_smoothness(self, model: NoiseModel) -> NoiseModel:
         """The model with its broadband part as smooth as the data ask for, from its present order up.
@@ -592,6 +604,60 @@ class Search:
                 size = self._mean_size(model, k, tone.sigma, near)
                 model = model if size is None else _with_size(model, k, size)
         return model
+
+    def with_doubtful_tones(self, model: NoiseModel) -> NoiseModel:
+        """The model with tones beside a blind frequency as large and wide as the data leave them on average.
+
+        Notes
+        -----
+        There a tone is seen by a share that changes much within what the data tell of its frequency, and what
+        they tell of its size with it: the most likely tone, wider than a sinusoid, lies on the side where it
+        is seen better and so is too small, and an estimate under it is certain of what may as well be twice
+        as large. In its place stands one of the mean variance and frequency of all sinusoids about there, as
+        wide as they scatter: each weighs by its likelihood, and amplitudes are beforehand about as large as
+        the largest of the tones (`mean_variance_about`).
+        """
+        if not model.tones:
+            return model
+        now = self.posterior(model)
+        usual = math.sqrt(max(variance_at(now, tone.frequency) for tone in model.tones))
+        for k, tone in enumerate(model.tones):
+            if model.gains[k] == math.inf:
+                continue
+            mean = self._mean_tone(model.without_tone(k), tone, max(usual, tone.sigma))
+            if mean is not None:
+                # of a sinusoid, or of a mode that is damped
+                wider = replace(mean, bandwidth=mean.bandwidth + tone.bandwidth)
+                either = [_with_tone_at(model, k, one) for one in (mean, wider)]
+                model = min(either, key=self.deviance)
+        return model
+
+    def _mean_tone(self, others: NoiseModel, tone: Tone, usual: float) -> Tone | None:
+        """The mean of all that a tone may be beside `others`; None where its frequency tells its size."""
+        f = tone.frequency + np.linspace(-DOUBT, DOUBT, DOUBT_PLACES) / self._length
+        for other in others.tones:
+            f = f[np.abs(f - other.frequency) > 1.5 / self._length]
+        f = f[(f > SLOWEST / self._length) & (f < 0.5 / self._equations.grid.step)]
+        if len(f) < 3:
+            return None
+        now = self.posterior(others)
+        _, _, score, seen = self._score_of_waves(now, now.score, f)
+        seen = np.maximum(seen, 1e-12 * float(seen.max()))
+        logs = np.linspace(-3.0, 3.0, 25)
+        variance = usual**2 * np.exp(2.0 * logs)
+        shown = variance[:, None, None] * seen
+        log_weight = 0.5 * (score**2 / seen * shown / (1.0 + shown) - np.log1p(shown)).sum(axis=2)
+        log_weight += (logs - 2.5 * np.log1p(0.5 * np.exp(2.0 * logs)))[:, None]
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        place = weight.sum(axis=0)
+        size = 0.5 * np.log(seen.sum(axis=1))
+        if place @ (size - place @ size) ** 2 < CLEAR**2:
+            return None
+        middle = float(place @ f)
+        _, least, _ = tone_widths(middle, self._length)
+        width = max(2.0 * math.sqrt(float(place @ (f - middle) ** 2)), least)
+        return Tone(math.sqrt(float(weight.sum(axis=1) @ variance)), middle, width)
 
     def _mean_size(self, model: NoiseModel, part: int, fitted: float, usual: float) -> float | None:
         """Root mean square size of a part, beforehand about as large as `usual`; None where it is shown."""
@@ -1022,9 +1088,12 @@ def _with_size(model: NoiseModel, part: int, sigma: float) -> NoiseModel:
     """A model whose broadband part, or tone number `part`, has another standard deviation."""
     if part == BROADBAND:
         return replace(model, broadband=replace(model.broadband, sigma=sigma))
-    tones = list(model.tones)
-    tones[part] = replace(tones[part], sigma=sigma)
-    return replace(model, tones=tuple(tones))
+    return _with_tone_at(model, part, replace(model.tones[part], sigma=sigma))
+
+
+def _with_tone_at(model: NoiseModel, k: int, tone: Tone) -> NoiseModel:
+    """A model with another tone in the place of its tone number `k`."""
+    return replace(model, tones=(*model.tones[:k], tone, *model.tones[k + 1 :]))
 
 
 def _combined(modes: Array, f: Array, apart: float) -> NDArray[np.bool_]:
