@@ -79,7 +79,7 @@ class TestRefused:
 
     def test_images_without_common_ground_are_refused(self):
         # 4000 px ahead of an image of 300 lines: no window lies on both images
-        with pytest.raises(EstimationError, match="too little ground in common: 0 windows of 10 x 100 px"):
+        with pytest.raises(EstimationError, match="too little ground in common: 0 windows of 10 x 48 px"):
             recover_line_of_sight(bands((4000.0, 0.0)), Plane())
 
     @pytest.mark.parametrize("asked", [{"window": (10, 200)}, {"step": 50}, {"window": (4, 150), "step": 40}])

@@ -229,9 +229,9 @@ def fit_spectrum(
     model = search.without_products(search.without_idle_tones(model))
     model = search.with_doubtful_tones(search.improve(model, iterations, settled, adjusted=True))
     known = [Tone(model.drift.sigma, f, search.narrow(f)) for f in known_tones]
-    model = search.with_possible_tones(
-        model, [*known, *(replace(one, sigma=one.sigma / unit) for one in possible)], false_alarm
-    )
+    model = search.with_possible_tones(model, known, false_alarm, known=True)
+    scaled_tones = [replace(one, sigma=one.sigma / unit) for one in possible]
+    model = search.with_possible_tones(model, scaled_tones, false_alarm)
     if usual is not None:
         model = search.with_usual_sizes(model, usual.scaled(1.0 / unit))
     hidden, through = search.hidden_tones(model, elsewhere)

@@ -557,7 +557,7 @@ class Search:
         return model
 
     def with_possible_tones(
-        self, model: NoiseModel, possible: Sequence[Tone], false_alarm: float
+        self, model: NoiseModel, possible: Sequence[Tone], false_alarm: float, *, known: bool = False
     ) -> NoiseModel:
         """The model and every `possible` tone it has none like, of its width and as large as it may be.
 
@@ -565,7 +565,8 @@ class Search:
         the mean variance that the data leave to it, see `mean_variance_unseen`, beforehand that of the tone
         given. A width of one over the
         length of the data, where another axis shows a narrower one, would bring as much jitter at all
-        frequencies into a short strip as the tone itself.
+        frequencies into a short strip as the tone itself. Beside a blind frequency a tone whose own is not
+        `known` may lie at it: there stands the mean of all that may be (`with_doubtful_tones`).
         """
         apart = 1.5 / self._length
         new = [one for one in possible if all(abs(t.frequency - one.frequency) > apart for t in model.tones)]
@@ -577,7 +578,12 @@ class Search:
         u = now.score
         gains, _, expected = self._exact_gain(now, u, np.array([one.frequency for one in new]))
         threshold = gain_of_chance(self._highest * self._length, false_alarm)
+        others = model
         for one, gained, information in zip(new, gains, expected, strict=True):
+            mean = None if known else self._mean_tone(others, one, min(one.sigma, others.drift.sigma))
+            if mean is not None:
+                model = model.with_tone(mean, math.nan)
+                continue
             # a tone of this variance would gain 1 + information variance / 2 on average
             per_variance = 0.5 * float(information)
             largest = min(threshold, per_variance * model.drift.sigma**2)

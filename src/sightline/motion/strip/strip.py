@@ -19,6 +19,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.measure.common_view import Views, common_views
+from sightline.motion.measure.consensus import MIN_BLOCKS
 from sightline.motion.measure.laid_strips import MOST_UNLIKE, UNLIKE, pixel_sizes
 from sightline.motion.measure.plan import (
     LEAST_WINDOW,
@@ -49,8 +50,8 @@ HYBRIDISE = ("global", "iterative")
 GROUND_PLACES = 9
 #: Nodes of the motion in the longest lag beyond which they are laid farther apart where images allow it.
 MOST_NODES = 300
-#: Windows in a row of a narrow strip, side by side, and columns of one at least: three tell a layer of clouds
-#: over two of them from the ground only by their height, six show which of them depart together.
+#: Windows in a row of bands that hold fewer of the usual width than tell which saw a cloud, and least columns
+#: of one. Four, of which a cloud covers two or three, hardly tell more than three.
 ROW_BLOCKS, LEAST_COLUMNS = 6, 48
 #: s between rows of windows at most, where lines are faster: spacecraft vibrate at up to some 150 Hz.
 ROW_SECONDS = 3.2e-3
@@ -264,8 +265,8 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
 
 def window_columns(bands: Sequence[Band]) -> int:
     """Columns of a window where none are asked for: as usual, fewer where the bands are narrow."""
-    widest = max(band.camera.columns for band in bands)
-    return min(RecoverOptions().window[1], max(widest // ROW_BLOCKS, LEAST_COLUMNS))
+    usual, widest = RecoverOptions().window[1], max(band.camera.columns for band in bands)
+    return usual if widest // usual >= MIN_BLOCKS else max(widest // ROW_BLOCKS, LEAST_COLUMNS)
 
 
 def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float:
