@@ -11,7 +11,8 @@ Not here: the strip itself (``motion/strip/strip.py``), the estimate of one pass
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,6 +26,7 @@ from sightline.execution import Progress, Step, no_step, one_blas_thread, silent
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
+from sightline.imaging.rasters import CACHE_MIB, raster_cache
 from sightline.imaging.source import in_memory
 from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
 from sightline.motion.band import Band
@@ -109,6 +111,9 @@ FOREIGN_SPECTRUM = 3.0
 SHAPE_WINDOW = (10, 32)
 #: px of all bands together that are read at once (32 MB).
 MOST_AT_ONCE = 8_000_000
+#: Of larger ones, lines (of four bytes a pixel) that are kept decoded, two rows of tiles of each image, and
+#: the least MiB that are.
+LINES_AT_HAND, LEAST_CACHE_MIB = 1024, 8
 #: Cosine of the angle, 18 degrees, from which on a camera looks far off the body's z: the turn about its line
 #: of sight then holds a third of the body's angles across it.
 ASIDE = 0.95
@@ -198,8 +203,8 @@ def recover_line_of_sight(
         return controlled_line_of_sight(strip)
     stages = stages or Stages()
     stages.depend([bands, surface, height_sigma, sensors, control_points, known, options])
-    strip = _read_at_once(strip)
-    strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell, stages)
+    with _images_at_hand(strip) as strip:
+        strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell, stages)
     if options.method == "joint":
         return result
     tell(f"from the angular differences to the motion: {options.method}")
@@ -233,13 +238,20 @@ def ready_strip(
     return strip, options
 
 
-def _read_at_once(strip: Strip) -> Strip:
-    """The strip with its images in memory where they are small: windows are read from them over and over."""
+@contextmanager
+def _images_at_hand(strip: Strip) -> Iterator[Strip]:
+    """The strip with its images in memory where they are small: windows are read from them over and over.
+
+    Of others the lines about a window are: GDAL would fill its whole cache with those that were left behind.
+    """
     shapes = [band.image.shape for band in strip.bands]
     if sum(lines * columns for lines, columns in shapes) > MOST_AT_ONCE:
-        return strip
+        lines = 4 * LINES_AT_HAND * sum(columns for _, columns in shapes)
+        with raster_cache(min(max(lines, LEAST_CACHE_MIB << 20), CACHE_MIB << 20)):
+            yield strip
+        return
     bands = (replace(band, image=in_memory(band.image)) for band in strip.bands)
-    return replace(strip, bands=tuple(bands))
+    yield replace(strip, bands=tuple(bands))
 
 
 def joint_line_of_sight(

@@ -421,7 +421,8 @@ class BorderedFactor:
                 f"`border` must be (n, q) and `corner` (q, q) with n = {n}, "
                 f"got {border.shape} and {corner.shape}"
             )
-        self._border = border
+        # not the border itself: it is as long as the matrix, and what is asked later takes `tied`
+        self._q = border.shape[1]
         if tied is None:
             tied = self._banded.solve(border) if border.shape[1] else np.zeros((n, 0))
         self._tied: Array = tied
@@ -446,7 +447,7 @@ class BorderedFactor:
     @property
     def q(self) -> int:
         """Number of unknowns of the border."""
-        return int(self._border.shape[1])
+        return int(self._q)
 
     @cached_property
     def logdet(self) -> float:

@@ -134,6 +134,18 @@ def raster_environment(access: Access) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def raster_cache(size: int) -> Iterator[None]:
+    """In the block GDAL keeps at most so many bytes of decoded blocks, unless the user has said how many."""
+    import rasterio
+
+    if os.environ.get("GDAL_CACHEMAX", str(CACHE_MIB)) != str(CACHE_MIB):
+        yield
+        return
+    with rasterio.Env(GDAL_CACHEMAX=size):
+        yield
+
+
 def open_raster(path: Path, access: Access | None = None) -> Any:
     """A raster as a dataset of rasterio, which the caller closes.
 

@@ -530,15 +530,20 @@ class _Banded:
     """Band of data + prior, factored: the same with and without a free constant per axis.
 
     `free` (size, F) are these constants, after the free parabolas, `pulled` the prior's precision times them;
-    `place` is where the unknowns of the grid stand; None where there are no others between them. `border`
-    (size, Q + F) holds the statics, then what is free.
+    `place` is where the unknowns of the grid stand; None where there are no others between them. `beside`
+    (size, Q) are the statics.
     """
 
     factor: BandedFactor
     free: Array
     pulled: Array
     place: Index | None
-    border: Array
+    beside: Array
+
+    @property
+    def border(self) -> Array:
+        """(size, Q + F); the statics, then what is free: made anew, for an estimate would hold it."""
+        return np.concatenate([self.beside, -self.pulled], axis=1)
 
     @cached_property
     def tied(self) -> Array:
@@ -558,8 +563,7 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
         laid, beside = (np.zeros((p.shape[1], known.shape[1])) for known in (free, data.border))
         laid[place], beside[place] = free, data.border
         pulled = band_times(p, laid)
-        border = np.concatenate([beside, -pulled], axis=1)
-        return _Banded(BandedFactor(ab), laid, pulled, place, border)
+        return _Banded(BandedFactor(ab), laid, pulled, place, beside)
     n, width = data.ab.n, prior.width(block)
     pulled = np.zeros(free.shape)
     depth = min(max(width, data.ab.subdiagonals), n - 1) + 1
@@ -577,7 +581,7 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
     give_back_memory()
 
     factor = BandedFactor.of_columns(depth - 1, n, columns)
-    return _Banded(factor, free, pulled, None, np.concatenate([data.border, -pulled], axis=1))
+    return _Banded(factor, free, pulled, None, data.border)
 
 
 def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
