@@ -17,15 +17,16 @@ T = np.arange(-100, 500) * PERIOD
 FLAT = Whitening(np.zeros((7, 7)), np.zeros((7, 7)), coherence=np.full((64, 33), 0.5))
 
 
-def found(roll_px, whitening=FLAT, stages=STAGES, finer=1.0, axis=0):
+def found(roll_px, whitening=FLAT, stages=STAGES, finer=1.0, axis=0, yaw=0.0, lines=1.0):
     """Displacement (G, 2) of windows at rising times of a partner that rolls; the hub stands still.
 
-    Pitch in place of roll with `axis` 1.
+    Pitch in place of roll with `axis` 1; the partner is turned by a constant `yaw`, rad.
     """
     angles = [
         5e-6 * np.stack([one if k == axis else 0.0 * T for k in range(3)], axis=1)
         for one in (0.0 * T, roll_px)
     ]
+    angles[1][:, 2] += yaw
     flight = Trajectory.level_flight(680e3, 6800.0, T[0], T[-1])
     detector = LineDetector.from_ifov("PAN", 100, 5e-6, PERIOD)
     cameras = [
@@ -37,7 +38,7 @@ def found(roll_px, whitening=FLAT, stages=STAGES, finer=1.0, axis=0):
     by = np.zeros((len(t), 2, 3), dtype=np.float32)
     by[:, 1 - axis, axis] = finer / 5e-6
     affine = np.tile(finer * np.eye(2), (len(t), 1, 1))
-    return t, displacement(cameras, (0, 1), (pixels, pixels), (t, t), (by, by), affine, whitening)
+    return t, displacement(cameras, (0, 1), (pixels, pixels), (t, t), (by, by), affine, whitening, lines)
 
 
 def test_the_shift_is_the_third_moment_of_a_small_motion():
@@ -72,6 +73,34 @@ def test_the_same_motion_displaces_as_far_on_the_hub_whatever_the_pixels_of_the_
     assert_allclose(found(roll, finer=4.0)[1], like, rtol=1e-6, atol=1e-12)
 
 
+def test_a_constant_yaw_skews_the_stages_of_a_tone():
+    # the third moment of both: a stage so many lines late lies so many pixels of the turn aside
+    roll, yaw = 0.08 * np.sin(2.0 * np.pi * 50.0 * T), 0.02
+    t, shift = found(roll, yaw=yaw)
+    late = np.arange(STAGES) - (STAGES - 1) / 2
+    d = np.interp(t[:, None] + late * PERIOD, T, roll)
+    q = 2.0 * np.pi * np.arange(0, 29, 4) / 64.0
+    per_moment = -(q**4).sum() / (q**2).sum() / 6.0
+    for sign, close in ((-1.0, True), (1.0, False)):
+        moved = d - d.mean(axis=1, keepdims=True) + sign * yaw * late
+        moment = per_moment * (moved**3).mean(axis=1)
+        off = np.abs(shift[:, 1] - moment).max() / np.abs(moment).max()
+        assert (off < 0.05) == close, (sign, off)
+
+
+def test_a_window_shows_the_mean_over_its_lines():
+    # the third moment of 30 Hz holds 30 and 90 Hz: of these a mean over 18 lines leaves .88 and .22
+    roll = 0.08 * np.sin(2.0 * np.pi * 30.0 * T)
+    t, high = found(roll, lines=18.0)
+    _, one = found(roll)
+    waves = np.stack([f(2.0 * np.pi * r * t) for r in (30.0, 90.0) for f in (np.cos, np.sin)], axis=1)
+    fitted, expected = (np.linalg.lstsq(waves, shift[:, 1], rcond=None)[0] for shift in (high, one))
+    left = np.sinc(np.repeat([30.0, 90.0], 2) * 18.0 * PERIOD)
+    # three points of a cosine of 2.5 rad to either side: 1 % of it, and of waves beside these 2 %
+    assert_allclose(fitted, left * expected, atol=0.03 * np.abs(expected).max())
+    assert np.abs(expected[2:]).max() > 0.1 * np.abs(expected).max()
+
+
 def test_a_filter_takes_blur_that_grows_from_line_to_line_for_a_displacement():
     # lines of random phases, seen stage by stage, filtered, and least squares on them: what is expected of
     # each line, of a motion less its mean over the stages
@@ -82,20 +111,20 @@ def test_a_filter_takes_blur_that_grows_from_line_to_line_for_a_displacement():
     f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size))
     taps = Whitening.from_response(np.hypot(f, 0.05) * np.exp(-0.5 * (f / 0.35) ** 2)).taps_a
     response = Whitening(taps, taps).response()[which, 0]
-    coherence = np.zeros((size, 33))
-    weight = power * response**2
-    weight = 0.9 * weight / weight.max()
-    coherence[which, 0] = coherence[-which, 0] = weight / (1.0 + weight)
-    coherence[:, 1:] = 1e-9  # det > 0
     pitch = 0.4 * np.sin(2.0 * np.pi * 47.0 * T)
-    whitening = Whitening(taps, taps, coherence=coherence)
-    _, shift = found(pitch, whitening, axis=1)
-
     stage = (np.arange(STAGES) - (STAGES - 1) / 2) * period
     every = np.arange(lines[0] - 7, lines[-1] + 8)
     d = np.interp(every[:, None] * period + stage, T, pitch)
     d -= d.mean(axis=1, keepdims=True)
     seen = np.exp(-1j * d[:, :, None] * frequency).mean(axis=1)
+
+    coherence = np.zeros((size, 33))
+    weight = power * response**2 * np.abs(seen).mean(axis=0)  # coherence is that of the blurred images
+    weight = 0.9 * weight / weight.max()
+    coherence[which, 0] = coherence[-which, 0] = weight / (1.0 + weight)
+    coherence[:, 1:] = 1e-9  # det > 0
+    whitening = Whitening(taps, taps, coherence=coherence)
+    _, shift = found(pitch, whitening, axis=1)
     along = taps.astype(float) @ np.where(np.arange(7) == 0, 1.0, 2.0)  # over columns
     filtered = sum(
         along[abs(o)] * seen[7 - o : len(seen) - 7 - o] * np.exp(-1j * frequency * o) for o in range(-6, 7)

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from motion.strips import IFOV, plain_star
 from sightline.errors import EstimationError
 from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
+from sightline.geometry.surface import Plane
 from sightline.motion.strip import estimate as estimates
 from sightline.motion.strip import hyper
 from sightline.motion.strip.hyper import (
@@ -402,8 +403,12 @@ def test_blur_that_is_taken_off_is_doubted_by_the_motion_that_it_would_be(monkey
     estimate = estimate_of(star, still)
     orders = [GroundOrder()]
     monkeypatch.setattr(estimates, "_ground_orders", lambda strip, stars: orders)
-    strip = SimpleNamespace(grid=estimate.grid, scale=np.full(3, IFOV))
+    strip = SimpleNamespace(
+        grid=estimate.grid, scale=np.full(3, IFOV), cameras=lambda *_: (), surface=Plane(0.0)
+    )
     records = [SimpleNamespace(star=replace(star, blur_px=blur))]
+    again = {"share": 1.0}
+    monkeypatch.setattr(estimates, "blurred_by", lambda *_: again["share"] * blur)
     state = SimpleNamespace(records=records, estimate=estimate, slow=None, model=hyper.BROAD)
     model = estimates.with_blur_errors(strip, state)
     roll, pitch, yaw = np.sqrt(model.unseen_variance) / IFOV
@@ -412,6 +417,10 @@ def test_blur_that_is_taken_off_is_doubted_by_the_motion_that_it_would_be(monkey
     (part,) = model.products[1]
     near = np.abs(np.array(part.frequency) - f) < 5.0
     assert np.array(part.density)[near].sum() > 0.95 * np.sum(part.density)
+    # the motion found would displace them by 1.4 times as much: half of the difference is in doubt as well
+    again["share"] = 1.4
+    pitch = np.sqrt(estimates.with_blur_errors(strip, state).unseen_variance[1]) / IFOV
+    assert pitch == pytest.approx(np.hypot(0.15, 0.5 * 0.4) * 2.0 / np.sqrt(2.0), rel=0.1)
     without = [SimpleNamespace(star=star)]
     assert (
         estimates.with_blur_errors(strip, SimpleNamespace(**{**vars(state), "records": without}))

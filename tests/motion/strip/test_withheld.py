@@ -206,6 +206,8 @@ def test_a_pair_that_contradicts_its_prediction_beyond_chance_is_warned_of():
     assert (
         said.startswith("A–B, which the estimate did not use") and "NEES 2.6" in said and "1.6 times" in said
     )
+    assert "TDI" not in said
+    assert all("TDI stages" in one for one in contradictions([replace(axis, nees=2.6)], tdi=True))
 
 
 def test_windows_that_err_alike_are_worth_fewer():

@@ -373,11 +373,12 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
             (partner.by_hub[good], partner.by_partner[good]),
             predicted.affine[good],
             partner.whitening,
+            grid.window[0],
         )
     residual, covariance = np.full((len(good), 2), np.nan), np.tile(np.eye(2), (len(good), 1, 1))
-    residual[good] = np.einsum("nij,nj->ni", turn, shift - blurred)
     blur = np.zeros((len(good), 2))
     blur[good] = np.einsum("nij,nj->ni", turn, blurred)
+    residual[good] = np.einsum("nij,nj->ni", turn, shift) - blur[good]
     covariance[good] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
     if plan.weighting != "covariance" and good.any():
         mean = 0.5 * np.einsum("nii->n", covariance[good]).mean()
@@ -426,6 +427,34 @@ def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: in
 def _same_windows(before: StarRecord, hub: int, grid: WindowGrid) -> bool:
     """Whether an earlier pass cut these very windows from the same image."""
     return before.star.hub == hub and np.array_equal(before.star.pixels, grid.centres)
+
+
+def blurred_by(record: StarRecord, cameras: Sequence[MovingCamera], surface: Surface) -> Array:
+    """(G, K, 2) px of the partners by which `cameras` have matches displaced for jitter within the stages.
+
+    By all of their motion, and the geometry of like pixels.
+    """
+    star = record.star
+    assert star.window is not None
+    lines = star.pixels[:: star.shape[1], 0]
+    grid = WindowGrid(star.window, lines, star.pixels[: star.shape[1], 1])
+    out = np.zeros(star.residual_px.shape)
+    predicted = predict_windows(cameras, star.hub, star.images, surface, grid)
+    for k, (partner, found) in enumerate(zip(star.images, predicted, strict=True)):
+        good = np.isfinite(star.residual_px[:, k, 0])
+        shift = displacement(
+            cameras,
+            (star.hub, partner),
+            (star.pixels[good], found.b[good]),
+            (star.t_hub[good], found.t[good]),
+            (star.by_hub[good, k], star.by_partner[good, k]),
+            found.affine[good],
+            record.filters[k] if record.filters else None,
+            star.window[0],
+            whole=True,
+        )
+        out[good, k] = np.einsum("nij,nj->ni", found.affine[good], shift)
+    return out
 
 
 def _brightness(before: StarRecord | None, image: ImageSource, hub: int, grid: WindowGrid) -> Array:

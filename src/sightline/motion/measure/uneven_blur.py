@@ -10,7 +10,9 @@ the mean displacement, but for thousandths to hundredths of a pixel:
   slope over w (rad per line), it shows W H - i W' dH/dline - W'' d2H/dline2 / 2 (the product of two
   operators to the second order).
 
-Both are known where the motion is, weighed over the frequencies as the match weighs them.
+Both are known where the motion is, weighed over the frequencies as the match weighs them, and over the lines
+of its window. A turn about the line of sight moves stages across the columns too, by as much as they lie
+beside the middle one: a constant one skews what they show of a tone, and its blur with it.
 
 Not here: the mean itself (``geometry/trajectory.py``), matching (``stars.py``).
 """
@@ -22,13 +24,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from sightline.compiled import njit
-from sightline.estimation.search import LEFT_BY_TDI
 from sightline.execution import in_threads
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
+from sightline.geometry.pointing import pointing_matrices
 from sightline.geometry.trajectory import Motion
 from sightline.matching.whitening import Whitening
 from sightline.motion.measure.predict import MovingCamera
@@ -39,13 +42,18 @@ Array = NDArray[np.float64]
 _EVERY, _HIGHEST = 4, 0.45
 #: A frequency weighs at most as one of this coherence.
 _MOST = 0.999
-#: Motion of which the stages leave this share is taken whole, less of what they leave less of (LEFT_BY_TDI:
-#: nothing); shorter ones as they are.
-_WHOLE, _FEWEST = 0.25, 16
+#: Motion of which stages leave the second share is taken whole, of what they leave less of less, down to
+#: nothing at the first: blur shows as much of such motion as its mean does, and what a pass found too large
+#: the next would find as much too small. Shorter motions are taken as they are.
+_NONE, _WHOLE, _FEWEST = 0.2, 0.3, 16
 #: Steps to the shift that fits: beside a motion of half a pixel the first is a fifth too short.
 ROUNDS = 3
 #: Windows that one thread takes at a time.
-_AT_ONCE = 2048
+_AT_ONCE = 1024
+#: Lines of a window that stand for all of it, in halves of its height from its middle, and their shares.
+_PLACES, _SHARES = leggauss(3)
+#: Windows of a pair that show how much their blur leaves of each frequency.
+_SAMPLE = 256
 
 
 def displacement(
@@ -56,6 +64,9 @@ def displacement(
     by: tuple[NDArray[np.float32], NDArray[np.float32]],
     affine: Array,
     whitening: Whitening | None,
+    lines: float = 1.0,
+    *,
+    whole: bool = False,
 ) -> Array:
     """(G, 2) px of the hub by which matches of a partner lie beyond where the mean motion has them.
 
@@ -73,6 +84,16 @@ def displacement(
         px/px; change of the predicted partner with the pixel of the hub, where frequencies are of the hub's.
     whitening : Whitening or None
         Says how much each frequency counts; nothing is known without its coherence.
+    lines : float
+        Of the hub, that a window is high.
+    whole : bool
+        Whether the motion counts as it is, what the stages average away included.
+
+    Notes
+    -----
+    What frequencies count for, coherence over one less coherence, was learned of images that are blurred: a
+    sharp one would show as much more of each as the blur leaves less of it. Filters are alike on either side
+    of an axis, so that of two frequencies that mirror each other the geometric mean counts.
     """
     out = np.zeros((len(t[0]), 2))
     coherence = None if whitening is None else whitening.coherence
@@ -80,12 +101,20 @@ def displacement(
     if whitening is None or coherence is None or not any(tdi) or cameras[pair[0]].trajectory.motion is None:
         return out
     weights = _weights(coherence, whitening)
-    motions = [_known(cameras[image]) for image in pair]
+    motions = [_motion(cameras[image], whole) for image in pair]
     seen = np.flatnonzero(np.isfinite(t[0]) & np.isfinite(t[1]) & np.isfinite(pixels[1]).all(axis=1))
+    if not len(seen):
+        return out
+    windows = _Windows(cameras, pair, pixels, t, by, affine, motions, lines, weights)
+    sample = seen[np.unique(np.linspace(0, len(seen) - 1, _SAMPLE).astype(int))]
+    left = np.hypot(*windows.shown(sample)).mean(axis=0)
+    weight = weights.weight / np.sqrt(left * left[weights.mirror])
 
     def values(first: int) -> Array:
         which = seen[first : first + _AT_ONCE]
-        return _of_windows(cameras, pair, pixels, t, by, affine, motions, which, weights)
+        shift = np.zeros((len(which), 2))
+        _shifts(*windows.shown(which), weights.frequency, weight, shift)
+        return shift
 
     begins = range(0, len(seen), _AT_ONCE)
     for first, part in zip(begins, in_threads(values, begins), strict=True):
@@ -93,12 +122,12 @@ def displacement(
     return out
 
 
-def _known(camera: MovingCamera) -> Motion:
-    """The motion of a camera less what its stages average away: that is hardly known."""
+def _motion(camera: MovingCamera, whole: bool) -> Motion:
+    """The motion of a camera, unless `whole` less what its stages average away: that is hardly known."""
     motion = camera.trajectory.motion
     assert motion is not None
     assert isinstance(camera, PushbroomCamera)
-    if camera.stages is None or len(motion.t) < _FEWEST:
+    if whole or camera.stages is None or len(motion.t) < _FEWEST:
         return motion
     step = float(np.median(np.diff(motion.t)))
     t = np.arange(motion.t[0], motion.t[-1], step)
@@ -108,18 +137,22 @@ def _known(camera: MovingCamera) -> Motion:
     rest = np.concatenate([angles - line, -(angles - line)[::-1]])
     frequency = np.fft.rfftfreq(len(rest), step)
     left = np.abs(np.sinc(frequency * float(np.min(camera.stages)) * camera.detector.line_period))
-    share = np.clip((left - LEFT_BY_TDI) / (_WHOLE - LEFT_BY_TDI), 0.0, 1.0)
+    share = np.clip((left - _NONE) / (_WHOLE - _NONE), 0.0, 1.0)
     kept = np.fft.irfft(np.fft.rfft(rest, axis=0) * share[:, None], len(rest), axis=0)
     return Motion(t, line + kept[: len(t)])
 
 
 @dataclass(frozen=True, eq=False)
 class _Weights:
-    """Frequencies (Q, 2), rad/px; how much they count for a shift; W'/W, px, and W''/W, px^2, (2, Q, 2)."""
+    """Frequencies (Q, 2), rad/px; how much they count for a shift; W'/W, px, and W''/W, px^2, (2, Q, 2).
+
+    `mirror` (Q,): which of them lies as far on the other side of an axis.
+    """
 
     frequency: Array
     weight: Array
     slopes: Array
+    mirror: NDArray[np.intp]
 
 
 def _weights(coherence: NDArray[np.float64], whitening: Whitening) -> _Weights:
@@ -133,7 +166,10 @@ def _weights(coherence: NDArray[np.float64], whitening: Whitening) -> _Weights:
     frequency = 2.0 * math.pi * np.stack([y[keep], x[keep]], axis=1)
     both = np.where(frequency[:, 1] > 0.0, 2.0, 1.0)  # half of the plane stands for the whole
     slopes = np.stack([_slopes(whitening, image)[keep] for image in ("a", "b")])
-    return _Weights(frequency, both * squared / (1.0 - squared), slopes)
+    # a frequency of the highest negative line has none
+    opposite = {(-y, x): k for k, (y, x) in enumerate(frequency.tolist())}
+    mirror = np.array([opposite.get((y, x), k) for k, (y, x) in enumerate(frequency.tolist())])
+    return _Weights(frequency, both * squared / (1.0 - squared), slopes, mirror)
 
 
 def _slopes(whitening: Whitening, image: str) -> Array:
@@ -148,46 +184,62 @@ def _slopes(whitening: Whitening, image: str) -> Array:
     return np.stack(slopes, axis=-1)
 
 
-def _of_windows(
-    cameras: Sequence[MovingCamera],
-    pair: tuple[int, int],
-    pixels: tuple[Array, Array],
-    t: tuple[Array, Array],
-    by: tuple[NDArray[np.float32], NDArray[np.float32]],
-    affine: Array,
-    motions: Sequence[Motion],
-    which: NDArray[np.intp],
-    weights: _Weights,
-) -> Array:
-    """The same (N, 2) of some windows."""
-    sides = []
-    hub = cameras[pair[0]].detector
-    assert isinstance(hub, LineDetector)
-    for side, image in enumerate(pair):
-        camera, motion = cameras[image], motions[side]
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """Windows of a pair, as `displacement` takes them, under known motions of both images."""
+
+    cameras: Sequence[MovingCamera]
+    pair: tuple[int, int]
+    pixels: tuple[Array, Array]
+    t: tuple[Array, Array]
+    by: tuple[NDArray[np.float32], NDArray[np.float32]]
+    affine: Array
+    motions: Sequence[Motion]
+    lines: float
+    weights: _Weights
+
+    def shown(self, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        """What windows show of each frequency in the product of both images: (N, Q) real and imaginary."""
+        re, im = np.empty((2, len(which), len(self.weights.frequency)))
+        sides = [value for side in range(2) for value in self._stages(side, which)]
+        _phase_factors(*sides, self.weights.frequency, self.weights.slopes, 0.5 * _SHARES, re, im)
+        return re, im
+
+    def _stages(self, side: int, which: NDArray[np.intp]) -> tuple[Array, NDArray[np.int64]]:
+        """Where stages lie beside their mean, (N lines, S, 3, 2) px of the hub, and how many (N lines,).
+
+        In lines that stand for the windows; with the change of that from line to line, and its change.
+        """
+        hub, camera = self.cameras[self.pair[0]].detector, self.cameras[self.pair[side]]
+        assert isinstance(hub, LineDetector)
         assert isinstance(camera, PushbroomCamera)
-        counts = camera.stages_of(pixels[side][which]).astype(np.int64)
-        most = int(counts.max())
-        stage = np.arange(most)[None, :]
-        late = (
-            np.minimum(stage, counts[:, None] - 1) - 0.5 * (counts[:, None] - 1)
-        ) * camera.detector.line_period
-        instants = t[side][which][:, None] + late
+        counts = camera.stages_of(self.pixels[side][which]).astype(np.int64)
+        stage = np.arange(int(counts.max()))
+        late = np.minimum(stage, counts[:, None] - 1) - 0.5 * (counts[:, None] - 1)
+        instants = self.t[side][which][:, None] + late * camera.detector.line_period
+        instants = instants[:, None] + (0.5 * self.lines * hub.line_period * _PLACES)[:, None]
+        into_hub = np.linalg.inv(self.affine[which])
         # the hub shows what lies the other way
-        turn = (-1.0 if side == 0 else 1.0) * np.linalg.solve(
-            affine[which], by[side][which].astype(np.float64)
-        )
-        used = (stage < counts[:, None])[:, :, None]
-        places = []
+        turn = (-1.0 if side == 0 else 1.0) * into_hub @ self.by[side][which].astype(np.float64)
+        across = into_hub[:, :, 1] if side else np.tile([0.0, 1.0], (len(which), 1))
+        skew = across[:, None] * -late[:, :, None]
+        used = (stage < counts[:, None])[:, None, :, None]
+        out = []
         for beside in (0.0, -hub.line_period, hub.line_period):
-            angles = motion.at(np.clip(instants + beside, *motion.span).ravel()).reshape(*instants.shape, 3)
-            moved = np.einsum("nca,nka->nkc", turn, angles)
-            places.append(moved - (moved * used).sum(axis=1, keepdims=True) / counts[:, None, None])
-        at, before, after = places
-        sides.append((np.stack([at, 0.5 * (after - before), after + before - 2.0 * at], axis=2), counts))
-    out = np.zeros((len(which), 2))
-    _shifts(*sides[0], *sides[1], weights.frequency, weights.weight, weights.slopes, out)
-    return out
+            angles = self.motions[side].at(np.clip(instants + beside, *self.motions[side].span).ravel())
+            about_sight = (angles @ _line_of_sight(camera)).reshape(instants.shape)
+            moved = np.einsum("nca,npka->npkc", turn, angles.reshape(*instants.shape, 3))
+            moved += skew[:, None] * about_sight[..., None]
+            out.append(moved - (moved * used).sum(axis=2, keepdims=True) / counts[:, None, None, None])
+        at, before, after = (one.reshape(-1, len(stage), 2) for one in out)
+        places = np.stack([at, 0.5 * (after - before), after + before - 2.0 * at], axis=2)
+        return places, np.repeat(counts, len(_PLACES))
+
+
+def _line_of_sight(camera: PushbroomCamera) -> Array:
+    """(3,) in body axes, the other way round behind an odd number of mirrors: about it the image turns."""
+    axes = pointing_matrices(camera.pointing, np.array([camera.first_line_time]))[0]
+    return np.asarray(np.linalg.det(axes) * axes[:, 2])
 
 
 @njit(cache=True, nogil=True)
@@ -214,22 +266,33 @@ def _shown(moved, count, y, x, slopes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _shifts(hub, hub_counts, partner, partner_counts, frequency, weight, slopes, out):  # type: ignore[no-untyped-def]
-    """Shift that fits the phases of two means of phase factors best, into `out` (N, 2)."""
-    re, im = np.empty(len(weight)), np.empty(len(weight))
-    for n in range(len(out)):
-        for k in range(len(weight)):
+def _phase_factors(  # type: ignore[no-untyped-def]
+    hub, hub_counts, partner, partner_counts, frequency, slopes, shares, re, im
+):
+    """What windows of several lines, their `shares`, show of frequencies in the product of both images."""
+    for n in range(len(re)):
+        for k in range(len(frequency)):
             y, x = frequency[k, 0], frequency[k, 1]
-            re_h, im_h = _shown(hub[n], hub_counts[n], y, x, slopes[0, k])
-            re_p, im_p = _shown(partner[n], partner_counts[n], y, x, slopes[1, k])
-            re[k], im[k] = re_p * re_h + im_p * im_h, im_p * re_h - re_p * im_h
+            re[n, k], im[n, k] = 0.0, 0.0
+            for p in range(len(shares)):
+                m = n * len(shares) + p
+                re_h, im_h = _shown(hub[m], hub_counts[m], y, x, slopes[0, k])
+                re_p, im_p = _shown(partner[m], partner_counts[m], y, x, slopes[1, k])
+                re[n, k] += shares[p] * (re_p * re_h + im_p * im_h)
+                im[n, k] += shares[p] * (im_p * re_h - re_p * im_h)
+
+
+@njit(cache=True, nogil=True)
+def _shifts(re, im, frequency, weight, out):  # type: ignore[no-untyped-def]
+    """Shift that fits phase factors (N, Q) best, into `out` (N, 2)."""
+    for n in range(len(out)):
         for _ in range(ROUNDS):
             a11, a12, a22, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(len(weight)):
                 y, x = frequency[k, 0], frequency[k, 1]
                 phase = y * out[n, 0] + x * out[n, 1]
-                left = weight[k] * (im[k] * math.cos(phase) - re[k] * math.sin(phase))
-                w = weight[k] * math.hypot(re[k], im[k])
+                left = weight[k] * (im[n, k] * math.cos(phase) - re[n, k] * math.sin(phase))
+                w = weight[k] * math.hypot(re[n, k], im[n, k])
                 a11 += w * y * y
                 a12 += w * y * x
                 a22 += w * x * x

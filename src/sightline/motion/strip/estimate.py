@@ -18,7 +18,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.motion.measure.consensus import ground_weights
 from sightline.motion.measure.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.measure.observations import Star, shared_image_correlation
-from sightline.motion.measure.stars import StarRecord
+from sightline.motion.measure.stars import StarRecord, blurred_by
 from sightline.motion.strip.fusion import (
     UNSEEN_PX,
     SensorRows,
@@ -51,7 +51,7 @@ from sightline.motion.strip.normal_equations import (
 from sightline.motion.strip.relief import beside_row, hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.strip.slow_errors import LEAST, SlowErrors, slow_errors
 from sightline.motion.strip.strip import Strip
-from sightline.motion.tones import spectrum
+from sightline.motion.tones import MotionSpectrum, spectrum
 
 Array = NDArray[np.float64]
 
@@ -66,6 +66,8 @@ STILL, SAME_SIZE = 0.025, 0.1
 #: motion known, tones of 47 and 83 Hz of it (16 stages, three scenes, SNR 3000) were .04 to .35 of themselves
 #: off, the more across the lines: .15 in the mean square.
 BLUR_ERROR = 0.15
+#: Of what the difference of both moves the motion by, so much is its error.
+FED_BACK = 0.5
 #: Frequencies at most where the error of that is owned: of its modes, and sums and differences of them.
 MOST_LINES = 200
 #: Times that control points are linearised before the first matching.
@@ -260,7 +262,10 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
     Notes
     -----
     What that moved the motion by is known to BLUR_ERROR of itself at every frequency, in any phase: its
-    spectrum times the square of that is the error's.
+    spectrum times the square of that is the error's. And the motion that was found, all of it, would displace
+    matches otherwise than what was taken off them, that of the motion before without what stages hide. Where
+    blur shows r times as much of a motion as the mean of its stages does, a motion that agrees with what it
+    displaces lies 1 / (1 + r) of the way on: FED_BACK where it shows as much, and that is where it matters.
     """
     stars, estimate = [r.star for r in state.records], state.estimate
     if not any(s.blur_px is not None and s.blur_px.any() for s in stars):
@@ -274,15 +279,18 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
     nodes = strip.grid.nodes
     inside = (nodes >= times.min()) & (nodes <= times.max())
     directions = estimate.hidden_directions(estimate.hidden_drifts)[inside]
-    moved_psd = []
-    for component in np.eye(2):
-        data = normal_equations(
-            stars, [b * component for b in blurs], strip.grid, orders=orders, relief=relief, slow=state.slow
-        )
+
+    def moved_by(blurs: Sequence[Array]) -> MotionSpectrum:
+        data = normal_equations(stars, blurs, strip.grid, orders=orders, relief=relief, slow=state.slow)
         moved = less_directions(estimate.moved_by(data)[inside], directions, strip.scale)
-        found = spectrum(Motion(nodes[inside], moved))
-        moved_psd.append(found.psd)
-    density = BLUR_ERROR**2 * (moved_psd[0] + moved_psd[1])
+        return spectrum(Motion(nodes[inside], moved))
+
+    cameras = strip.cameras(estimate.nodes, estimate.statics)
+    again = [blurred_by(r, cameras, strip.surface) for r in state.records]
+    found = moved_by([a - b for a, b in zip(again, blurs, strict=True)])
+    density = FED_BACK**2 * found.psd
+    for component in np.eye(2):
+        density = density + BLUR_ERROR**2 * moved_by([b * component for b in blurs]).psd
     return state.model.with_errors([_lines(found.frequency, one) for one in density.T])
 
 

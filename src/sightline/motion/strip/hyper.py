@@ -550,7 +550,8 @@ def fit_prior_model(
     # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
     usual = [first[best].as_found.scaled(float(size / pixel[best])) for size in pixel]
     expected = _shown(usual, row_sigma)
-    together = min(own[ROLL], own[YAW]) < OWN
+    # what stages hide shows in rows by its blur, and together all frequencies would be taken for as loud
+    together = min(own[ROLL], own[YAW]) < OWN and all(s.tdi is None for s in stars)
     # none where rows do not see the angle
     if together and any(0.0 < expected[axis] < HARDLY for axis in (ROLL, YAW)):
         if across is not None:

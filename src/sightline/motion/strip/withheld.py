@@ -96,17 +96,21 @@ class WithheldAxis:
     asked: bool
 
 
-def contradictions(withheld: Sequence[WithheldAxis]) -> tuple[str, ...]:
-    """Warnings of left-out pairs that show far more than the sigma of their prediction owns."""
+def contradictions(withheld: Sequence[WithheldAxis], *, tdi: bool = False) -> tuple[str, ...]:
+    """Warnings of left-out pairs that show far more than the sigma of their prediction owns.
+
+    `tdi`: whether bands have TDI stages.
+    """
     said = []
+    stages = "motion so large within the TDI stages that it blurs as much as it shifts, " if tdi else ""
     for one in withheld:
         chance = float(chdtrc(one.samples, one.nees * one.samples))
         if one.nees >= CONTRADICTED and chance < CONTRADICTION_CHANCE:
             said.append(
                 f"{'–'.join(one.pair)}, which the estimate did not use, contradicts it {one.axis} the lines: "
                 f"NEES {one.nees:.2g} where 1 is right, so sigmas are some {one.nees**0.5:.2g} times too "
-                "small; look for clouds, relief that is not given ([surface] height_sigma), or a wrong "
-                "lag or line time"
+                f"small; look for {stages}clouds, relief that is not given ([surface] height_sigma), or a "
+                "wrong lag or line time"
             )
     return tuple(said)
 
