@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,22 @@ def test_three_processes_interleave_without_touching_each_other() -> None:
         apart.add_to(band, layout, axis)
     places = np.sort(np.concatenate([layout.fine[:, 1], layout.coarse[:, 1]]))
     np.testing.assert_allclose(gather_band(band, places, len(alone) - 1), alone)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_some_columns_are_those_of_the_whole(weighted: bool) -> None:
+    apart = split(SPECTRUM, STEP, 12, 400, ratio=8)
+    assert apart is not None
+    layout = Layout.interleaved(400, 8, block=3)
+    weights = np.random.default_rng(5).uniform(0.1, 1.0, 400) if weighted else None
+    whole = np.zeros((max(apart.width(layout, axis) for axis in range(3)) + 1, layout.size))
+    for axis in range(3):
+        apart.add_to(whole, layout, axis, weights)
+    for begin, end in pairwise([0, 1, 170, 171, 640, layout.size]):
+        piece = np.zeros((len(whole), end - begin))
+        for axis in range(3):
+            apart.add_to(piece, layout, axis, weights, begin)
+        assert np.array_equal(piece, whole[:, begin:end])
 
 
 def test_nothing_slow_or_nothing_fast_is_left_to_the_plain_prior() -> None:

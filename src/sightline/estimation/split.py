@@ -79,27 +79,41 @@ class SplitPrior:
         q = self.slow.order
         return int(max(np.max(high - low), np.max(coarse[q:] - coarse[: len(coarse) - q])))
 
-    def add_to(self, band: Array, layout: Layout, axis: int = 0, weights: Array | None = None) -> None:
+    def add_to(
+        self, band: Array, layout: Layout, axis: int = 0, weights: Array | None = None, begin: int = 0
+    ) -> None:
         """Add the joint precision of (x, c) to a lower band in a layout, in place.
 
         Parameters
         ----------
-        band : array (b + 1, layout.size)
-            With b at least `width`.
+        band : array (b + 1, m)
+            With b at least `width`: the columns from `begin` on of a band of `layout.size` columns.
         layout : Layout
             Where the unknowns stand.
         axis : int
             Which process of the layout this is the prior of.
         weights : array (n,), optional
             Of the fast innovations; see `Autoregressive.precision_band`.
+        begin : int
+            Column of the whole band that is the first of `band`.
         """
         fine = np.ascontiguousarray(layout.fine[:, axis])
         coarse = np.ascontiguousarray(layout.coarse[:, axis])
-        spread_band(self.fast.precision_band(weights), fine, band)
-        spread_band(self.slow.precision_band(), coarse, band)
+        end = begin + band.shape[1]
+        for process, place, own in ((self.fast, fine, weights), (self.slow, coarse, None)):
+            low, high = np.searchsorted(place, (begin, end)).tolist()
+            if low < high:
+                spread_columns(process.precision_columns(low, high, own), place, low, band, begin)
         first, taps = _interpolation(self.n, self.slow.n, self.ratio)
         row_weights = 1.0 / self.fast.variances if weights is None else weights / self.fast.variances
-        _add_coarse(self.fast.table, row_weights, first, taps, fine, coarse, band)
+        # rows of which some unknown stands in these columns
+        earliest = np.maximum(np.arange(self.n) - self.fast.order, 0)
+        lowest = np.minimum(fine[earliest], coarse[first[earliest]])
+        highest = np.maximum(fine, coarse[first + TAPS - 1])
+        rows = np.flatnonzero((highest >= begin) & (lowest < end))
+        if len(rows):
+            span = (int(rows[0]), int(rows[-1]) + 1)
+            _add_coarse(self.fast.table, row_weights, first, taps, fine, coarse, span, begin, band)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +269,24 @@ def spread_band(band: Array, position: Index, out: Array) -> None:
     """Add a symmetric band (b + 1, n) of unknowns that stand at rising positions (n,) to a larger band."""
     if len(position) != band.shape[1]:
         raise InputError(f"`position` must hold {band.shape[1]} places, got {len(position)}")
-    _spread(band, position, out)
+    spread_columns(band, position, 0, out, 0)
+
+
+def spread_columns(band: Array, position: Index, first: int, out: Array, begin: int) -> None:
+    """Add some columns of a symmetric band to some columns of a larger one.
+
+    Parameters
+    ----------
+    band : (b + 1, m)
+        Its columns from number `first` on.
+    position : (n,)
+        Where all its unknowns stand in the larger band, rising.
+    first : int
+    out : (c + 1, k)
+        Columns from `begin` on of the larger band: all those in which the m unknowns stand.
+    begin : int
+    """
+    _spread(band, position[first:], out, begin)
 
 
 def gather_band(band: Array, position: Index, width: int) -> Array:
@@ -287,20 +318,23 @@ def _interpolation(n: int, coarse: int, ratio: int) -> tuple[Index, Array]:
 
 
 @njit(cache=True, nogil=True)
-def _spread(band, position, out):  # type: ignore[no-untyped-def]
-    """Add a band to another, unknown i going to position[i]."""
-    n = band.shape[1]
+def _spread(band, position, out, begin):  # type: ignore[no-untyped-def]
+    """Add columns of a band to those of another from `begin` on, unknown i going to position[i]."""
+    n = len(position)
     for d in range(min(band.shape[0], n)):
-        for i in range(n - d):
-            out[position[i + d] - position[i], position[i]] += band[d, i]
+        for i in range(min(n - d, band.shape[1])):
+            out[position[i + d] - position[i], position[i] - begin] += band[d, i]
 
 
 @njit(cache=True, nogil=True)
-def _add_coarse(table, weights, first, taps, fine, coarse, band):  # type: ignore[no-untyped-def]
-    """Blocks (fine, coarse) and (coarse, coarse) of the sum of innovation rows of z = x - P c."""
-    p = table.shape[0] - 1
+def _add_coarse(table, weights, first, taps, fine, coarse, span, begin, band):  # type: ignore[no-untyped-def]
+    """Blocks (fine, coarse) and (coarse, coarse) of the sum of innovation rows of z = x - P c.
+
+    Of the rows `span`, into the columns of the whole from `begin` on that `band` holds.
+    """
+    p, end = table.shape[0] - 1, begin + band.shape[1]
     window = np.zeros(first[min(p, len(first) - 1)] - first[0] + 3 * taps.shape[1] + 2)
-    for t in range(len(weights)):
+    for t in range(span[0], span[1]):
         m = min(t, p)
         row = table[m]
         base = first[t - m]
@@ -315,10 +349,10 @@ def _add_coarse(table, weights, first, taps, fine, coarse, band):  # type: ignor
             scaled = weights[t] * window[j]
             for k in range(m + 1):
                 f = fine[t - k]
-                if f > cj:
-                    band[f - cj, cj] -= scaled * row[k]
-                else:
-                    band[cj - f, f] -= scaled * row[k]
+                column = min(f, cj)
+                if begin <= column < end:
+                    band[max(f, cj) - column, column - begin] -= scaled * row[k]
             for i in range(j + 1):
                 ci = coarse[base + i]
-                band[cj - ci, ci] += scaled * window[i]
+                if begin <= ci < end:
+                    band[cj - ci, ci - begin] += scaled * window[i]

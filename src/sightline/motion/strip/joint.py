@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from sightline.estimation.banded import BandedFactor, BorderedFactor, add_band_times, band_times
+from sightline.estimation.banded import BandedFactor, BorderedFactor, add_band_times
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
-from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
+from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_columns
 from sightline.execution import give_back_memory
 from sightline.motion.strip.fusion import Ties, add_ties
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid, no_information
@@ -130,21 +130,26 @@ class JointPrior:
             return None
         return Layout.interleaved(count, self.apart[0].ratio, block=block, slow=3)
 
-    def laid_precision(self, layout: Layout) -> Array:
-        """Lower band of the prior precision of all unknowns of a layout, coarse ones among them."""
+    def laid_width(self, layout: Layout) -> int:
+        """Subdiagonals of the prior precision of all unknowns of a layout, coarse ones among them."""
         assert self.apart is not None
-        relief = (
-            [] if self.relief is None else [(3 + k, p.precision_band()) for k, p in enumerate(self.relief)]
-        )
-        place = [np.ascontiguousarray(layout.fine[:, axis]) for axis in range(layout.fine.shape[1])]
+        place = layout.fine
         widths = [p.width(layout, axis) for axis, p in enumerate(self.apart)]
-        widths += [farthest(place[axis], len(band) - 1) for axis, band in relief]
-        out = np.zeros((max(widths) + 1, layout.size))
+        widths += [farthest(place[:, 3 + k], p.order) for k, p in enumerate(self.relief or ())]
+        return max(widths)
+
+    def laid_columns(self, layout: Layout, first: int, last: int, width: int) -> Array:
+        """Columns [first, last) of the lower band of that precision, (width + 1, last - first)."""
+        assert self.apart is not None
+        out = np.zeros((width + 1, last - first))
         for axis, p in enumerate(self.apart):
             weights = None if self.innovation_weights is None else self.innovation_weights[:, axis].copy()
-            p.add_to(out, layout, axis, weights)
-        for axis, band in relief:
-            spread_band(band, place[axis], out)
+            p.add_to(out, layout, axis, weights, first)
+        for k, process in enumerate(self.relief or ()):
+            place = np.ascontiguousarray(layout.fine[:, 3 + k])
+            low, high = np.searchsorted(place, (first, last)).tolist()
+            if low < high:
+                spread_columns(process.precision_columns(low, high), place, low, out, first)
         return out
 
     def width(self, block: int) -> int:
@@ -555,15 +560,10 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
     """Factor of the banded part of data + prior."""
     layout, block = prior.layout(data.grid.count, data.block), data.block
     free = prior.free_shapes(data.grid.count, block)
+    # what matching and earlier solutions have freed would stay beside the large pieces of the factor
+    give_back_memory()
     if layout is not None:
-        p, place = prior.laid_precision(layout), np.ascontiguousarray(layout.fine.ravel())
-        ab = np.zeros((max(len(p), farthest(place, data.ab.subdiagonals) + 1), p.shape[1]))
-        spread_band(data.ab.whole(), place, ab)
-        ab[: len(p)] += p
-        laid, beside = (np.zeros((p.shape[1], known.shape[1])) for known in (free, data.border))
-        laid[place], beside[place] = free, data.border
-        pulled = band_times(p, laid)
-        return _Banded(BandedFactor(ab), laid, pulled, place, beside)
+        return _laid_factor(data, prior, layout, free)
     n, width = data.ab.n, prior.width(block)
     pulled = np.zeros(free.shape)
     depth = min(max(width, data.ab.subdiagonals), n - 1) + 1
@@ -577,11 +577,30 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
         out[: len(p)] += p
         return out
 
-    # what matching and earlier solutions have freed would stay beside the large pieces of the factor
-    give_back_memory()
-
     factor = BandedFactor.of_columns(depth - 1, n, columns)
     return _Banded(factor, free, pulled, None, data.border)
+
+
+def _laid_factor(data: NormalEquations, prior: JointPrior, layout: Layout, free: Array) -> _Banded:
+    """The same where drifts have coarse unknowns of their own."""
+    place, size = np.ascontiguousarray(layout.fine.ravel()), layout.size
+    laid, beside = (np.zeros((size, known.shape[1])) for known in (free, data.border))
+    laid[place], beside[place] = free, data.border
+    pulled = np.zeros(laid.shape)
+    own = prior.laid_width(layout)
+    depth = max(own, farthest(place, data.ab.subdiagonals)) + 1
+
+    def columns(first: int, last: int) -> Array:
+        p = prior.laid_columns(layout, first, last, own)
+        add_band_times(p, laid, first, pulled)
+        out = np.zeros((depth, last - first))
+        low, high = np.searchsorted(place, (first, last)).tolist()
+        if low < high:
+            spread_columns(data.ab.columns(low, high), place, low, out, first)
+        out[: len(p)] += p
+        return out
+
+    return _Banded(BandedFactor.of_columns(depth - 1, size, columns), laid, pulled, place, beside)
 
 
 def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
