@@ -61,8 +61,8 @@ class FittedSpectrum:
     products : tuple of Tone
         Sums and differences of such modes and of those found (intermodulation), in the unit of the series:
         averaging puts them into the motion that is found; the body does not move so.
-    through : tuple of float
-        Hz; a mode there that certainly shines through.
+    through : tuple of (float, float)
+        Hz; a mode there that most likely shines through, and its probability.
     """
 
     spectrum: Spectrum
@@ -73,7 +73,7 @@ class FittedSpectrum:
     sizes: tuple[float, ...] = ()
     hidden: tuple[Tone, ...] = ()
     products: tuple[Tone, ...] = ()
-    through: tuple[float, ...] = ()
+    through: tuple[tuple[float, float], ...] = ()
 
     @property
     def as_found(self) -> Spectrum:

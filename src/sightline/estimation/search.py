@@ -52,6 +52,8 @@ SLOWEST = 2.0
 #: Tones nearer to the rate of the differences than this, in units of one over the length of the data, turn by
 #: so few periods against it that offsets of the images, and drifts, take their place.
 NEAR_RATE = 4.0
+#: Tones of two axes nearer than this, in units of one over the length of the strip, are one mode.
+SAME_TONE = 1.5
 #: Highest frequency of a tone that is looked for, in units of one over the time that a measurement averages
 #: over: a quarter of such a tone is left in it.
 SEEN_THROUGH = 0.8
@@ -78,6 +80,8 @@ SELDOM = 0.317
 COUNTS = 0.2
 #: The strongest place there is a mode, of which products are made, at this probability of chance.
 HARDLY_CHANCE = 1e-3
+#: And that is this unlikely does not make it likelier on other axes.
+UNLIKELY = 0.1
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
 #: the rows hold of it is like the noise of the measurements.
 QUICKEST = 0.3
@@ -699,13 +703,14 @@ class Search:
 
     def hidden_tones(
         self, model: NoiseModel, elsewhere: Sequence[tuple[float, float]] = ()
-    ) -> tuple[tuple[Tone, ...], tuple[float, ...]]:
+    ) -> tuple[tuple[Tone, ...], tuple[tuple[float, float], ...]]:
         """What the motion is to be expected to hold where TDI, or coarse lines, average it away: wide tones.
 
         One for each stretch of frequencies.
 
-        With the frequency (Hz) of a mode that certainly shines through, if any; `elsewhere` are those of
-        other axes, each with the odds that this one has it too.
+        With the frequency (Hz) of the mode that most likely shines through, if any may, and its probability,
+        1 where no chance would show as much; `elsewhere` are those of other axes, each with the odds that
+        this one has it too.
 
         Notes
         -----
@@ -766,11 +771,17 @@ class Search:
         _, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information, doubt)
         strongest = int(np.argmax(np.where(mixed | ~within, -math.inf, likely)))
         certain = gain[strongest] > gain_of_chance(top * self._length, HARDLY_CHANCE)
-        through = (float(exact[strongest]),) if certain and not mixed[strongest] else ()
-        mixed |= _combined(np.append(plain if through else strong, through), exact, 1.0 / self._length)
+        through: tuple[tuple[float, float], ...] = ()
+        if within[strongest] and not mixed[strongest]:
+            chance = 1.0 if certain else float(np.exp(-np.logaddexp(0.0, -likely[strongest])))
+            if chance > UNLIKELY:
+                through = ((float(exact[strongest]), chance),)
+        sure = [f for f, chance in through if chance == 1.0]
+        mixed |= _combined(np.append(plain if sure else strong, sure), exact, 1.0 / self._length)
         gain[mixed] = information[mixed] = 0.0
         for place, odds in elsewhere:
-            number[int(np.argmin(np.abs(exact - place)))] = odds
+            near = np.abs(exact - place) < SAME_TONE / self._length
+            number[near] = np.maximum(number[near], odds / max(near.sum(), 1))
         expected, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information, doubt)
         odds = max(number[hidden].sum(), np.exp(likely[hidden]).sum())
         if odds < SELDOM / (1.0 - SELDOM):
@@ -784,7 +795,8 @@ class Search:
         that (`motion.measure.uneven_blur`) holds only the motion that is known; where TDI leaves little, the
         rest would pass for a tone many times as large. Of the two, that is the mode whose gain is larger.
         """
-        _, through = self.hidden_tones(model)
+        _, shown = self.hidden_tones(model)
+        through = [f for f, chance in shown if chance == 1.0]
         if not through:
             return model
         modes = np.array([tone.frequency for tone in model.tones])
@@ -1063,7 +1075,7 @@ def tone_widths(frequency: float, length: float) -> tuple[float, float, float]:
 
 def usual_size(usual: Sequence[Tone], frequency: float, length: float) -> float | None:
     """Standard deviation of that of the `usual` tones that lies at `frequency` (Hz); over `length` s."""
-    return max((t.sigma for t in usual if abs(t.frequency - frequency) < 1.5 / length), default=None)
+    return max((t.sigma for t in usual if abs(t.frequency - frequency) < SAME_TONE / length), default=None)
 
 
 def mean_variance_about(usual: float, logs: Array, deviance: Array) -> float:

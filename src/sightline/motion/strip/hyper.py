@@ -20,7 +20,7 @@ from scipy.linalg import matmul_toeplitz
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum, TabulatedPsd, Tone
-from sightline.estimation.search import SETTLED
+from sightline.estimation.search import SAME_TONE, SETTLED
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
@@ -37,8 +37,6 @@ Array = NDArray[np.float64]
 ORDER = 80
 #: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
 WEAK = 1e2
-#: Tones of two axes nearer than this, in units of one over the length of the strip, are one mode.
-SAME_TONE = 1.5
 #: Tones that are looked for per axis.
 MOST_TONES = 8
 #: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
@@ -532,11 +530,13 @@ def fit_prior_model(
     if aside and corners[YAW] is not None:
         across = _larger_parts(first[0].as_found, first[PITCH].as_found, length)
 
+    certain = [any(chance == 1.0 for _, chance in one.through) for one in first]
+
     def shared(axis: int) -> FittedSpectrum:
         through = [
-            (f, _odds_of_sharing(spectra[axis], one.spectrum, SAME_TONE / length))
-            for one in first
-            for f in (() if first[axis].through else one.through)
+            (f, chance * _odds_of_sharing(spectra[axis], one.spectrum, SAME_TONE / length))
+            for other, one in enumerate(first)
+            for f, chance in (() if other == axis or certain[axis] else one.through)
         ]
         usual = across if axis == YAW else None
         if usual is None and not missing[axis] and corners[axis] is None and not through:
