@@ -224,7 +224,12 @@ def match_star(
     chosen = chosen_windows(images[hub], hub, grid.centres, grid.window, plan.selection)
     moves = _Moves.empty(g, k, len(statics))
     found = _prepared(strips, partners, statics, wrong, filters, moves)
-    measured = []
+    camera, predicted = cameras[hub], [partner.predicted for partner in found]
+    tdi_hub, tdi = _tdi(cameras, hub, partners, grid, predicted)
+    # written as they come: of a long strip what all pairs say is large, and would be held twice
+    residual, covariance = np.empty((g, k, 2)), np.empty((g, k, 2, 2))
+    blur = None if tdi is None else np.empty((g, k, 2))
+    status, score = np.empty((g, k), dtype=np.uint8), np.empty((g, k))
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(found):
 
@@ -233,10 +238,10 @@ def match_star(
 
         points = np.where((partner.seen & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
         one = _measured(strips, partner, points, blocks)
-        one.status[partner.seen & ~chosen] = NOT_CHOSEN
-        measured.append(one)
-    camera, predicted = cameras[hub], [partner.predicted for partner in found]
-    tdi_hub, tdi = _tdi(cameras, hub, partners, grid, predicted)
+        residual[:, j], covariance[:, j], score[:, j] = one.residual, one.covariance, one.score
+        status[:, j] = np.where(partner.seen & ~chosen, np.uint8(NOT_CHOSEN), one.status)
+        if blur is not None:
+            blur[:, j] = one.blur
     duration, stretch = _duration(camera, grid, exposed=strips.coarse)
     star = Star(
         hub=hub,
@@ -251,9 +256,9 @@ def match_star(
         tdi=tdi,
         coarseness=ratio[0],
         fineness=fineness(cameras, hub, partners),
-        residual_px=np.stack([one.residual for one in measured], axis=1),
-        blur_px=None if tdi is None else np.stack([one.blur for one in measured], axis=1),
-        covariance_px=np.stack([one.covariance for one in measured], axis=1),
+        residual_px=residual,
+        blur_px=blur,
+        covariance_px=covariance,
         by_hub=moves.by_hub,
         by_partner=moves.by_partner,
         by_static=moves.by_static,
@@ -264,7 +269,6 @@ def match_star(
         brightness=_brightness(before, images[hub], hub, grid),
         window=grid.window,
     )
-    status, score = (np.stack([getattr(one, n) for one in measured], axis=1) for n in ("status", "score"))
     return StarRecord(star, status, score, tuple(partner.whitening for partner in found))
 
 
