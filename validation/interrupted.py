@@ -1,14 +1,13 @@
 """Runs that are stopped, that meet another, a full or read-only disk, or inputs that change under way.
 
-First every command is run undisturbed. Then it is ended by SIGKILL and by SIGTERM at random moments, half of
-them over earlier files of the same names (`--overwrite`), and the same command is run again (those
-that keep stages in turn with `--resume` and without). Every file must be the same bit for bit, but for what
-tells of the run itself: `wall_seconds`, `peak_memory_bytes`, other measured times, CREATION_DATE,
-`report.html`;
-nothing else may be left. Then two runs at once into one folder, disks that run full, a read-only disk, and
-inputs that are exchanged for others: each must end with one whole result, or with status 2 and an error
-that names the folder or the file. Small file systems are mounted in memory; where that is not allowed,
-files may not grow beyond a size instead, and the read-only disk is left out and named.
+First every command is run undisturbed. Then it is ended by SIGKILL and by SIGTERM at random moments, half
+of them over earlier files of the same names (`--overwrite`), and the same command is run again (those that
+keep stages in turn with `--resume` and without). Every file must be the same bit for bit, but for what
+tells of the run itself: `wall_seconds`, `peak_memory_bytes`, other measured times, CREATION_DATE and
+`report.html`; nothing else may be left. Then two runs at once into one folder, disks that run full, a
+read-only disk, and inputs that are exchanged for others: each must end with one whole result, or with
+status 2 and an error that names the folder or the file. Small file systems are mounted in memory; where
+that is not allowed, files may not grow beyond a size instead, and the read-only disk is left out and named.
 
     python validation/interrupted.py [--moments 4] [--seed 1]    # 4 moments x 2 signals x 5 commands
 
