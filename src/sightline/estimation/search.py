@@ -623,9 +623,9 @@ class Search:
         There a tone is seen by a share that changes much within what the data tell of its frequency, and what
         they tell of its size with it: the most likely tone, wider than a sinusoid, lies on the side where it
         is seen better and so is too small, and an estimate under it is certain of what may as well be twice
-        as large. In its place stands one of the mean variance and frequency of all sinusoids about there, as
-        wide as they scatter: each weighs by its likelihood, and amplitudes are beforehand about as large as
-        the largest of the tones (`mean_variance_about`).
+        as large. In its place stands one as large and as wide as the mean spectrum of all sinusoids about
+        there: each weighs by its likelihood, and amplitudes are beforehand about as large as the largest of
+        the tones (`mean_variance_about`).
         """
         if not model.tones:
             return model
@@ -664,10 +664,11 @@ class Search:
         size = 0.5 * np.log(seen.sum(axis=1))
         if place @ (size - place @ size) ** 2 < CLEAR**2:
             return None
-        middle = float(place @ f)
+        power = variance @ weight
+        middle = float(power @ f / power.sum())
         _, least, _ = tone_widths(middle, self._length)
-        width = max(2.0 * math.sqrt(float(place @ (f - middle) ** 2)), least)
-        return Tone(math.sqrt(float(weight.sum(axis=1) @ variance)), middle, width)
+        width = max(2.0 * math.sqrt(float(power @ (f - middle) ** 2 / power.sum())), least)
+        return Tone(math.sqrt(float(power.sum())), middle, width)
 
     def _mean_size(self, model: NoiseModel, part: int, fitted: float, usual: float) -> float | None:
         """Root mean square size of a part, beforehand about as large as `usual`; None where it is shown."""
