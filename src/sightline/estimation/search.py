@@ -74,14 +74,13 @@ STAGES = 32
 _DRAWS = np.outer(
     np.sqrt(-np.log1p(-(np.arange(4) + 0.5) / 4.0)), np.exp(2j * math.pi * (np.arange(6) + 0.5) / 6.0)
 ).ravel()
-#: A sigma holds in .683 of all cases: modes that are there more seldom than in the others are not owned.
+#: A sigma holds in .683 of all cases: modes that are there more seldom than in the others are not owned, nor
+#: do they count for other axes.
 SELDOM = 0.317
 #: Modes of less than this share of the usual strength do not count.
 COUNTS = 0.2
 #: The strongest place there is a mode, of which products are made, at this probability of chance.
 HARDLY_CHANCE = 1e-3
-#: And that is this unlikely does not make it likelier on other axes.
-UNLIKELY = 0.1
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
 #: the rows hold of it is like the noise of the measurements.
 QUICKEST = 0.3
@@ -775,7 +774,7 @@ class Search:
         through: tuple[tuple[float, float], ...] = ()
         if within[strongest] and not mixed[strongest]:
             chance = 1.0 if certain else float(np.exp(-np.logaddexp(0.0, -likely[strongest])))
-            if chance > UNLIKELY:
+            if chance > SELDOM:
                 through = ((float(exact[strongest]), chance),)
         sure = [f for f, chance in through if chance == 1.0]
         mixed |= _combined(np.append(plain if sure else strong, sure), exact, 1.0 / self._length)

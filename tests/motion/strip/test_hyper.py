@@ -375,8 +375,12 @@ def test_odds_that_axes_share_a_mode_are_those_of_their_other_modes() -> None:
         return Spectrum((Matern(1.0, 1.0, "5/2"), *(Tone(0.1, f, 0.1) for f in tones)))
 
     other = spectrum(47.0, 83.0)
-    found = [hyper._odds_of_sharing(spectrum(*own), other, 1.0) for own in ((47.2, 83.0), (83.9,), (60.0,))]
+    found = [
+        hyper._odds_of_sharing(spectrum(*own), other, 1.0, 1.0) for own in ((47.2, 83.0), (83.9,), (60.0,))
+    ]
     assert_allclose(found, [3.0, 1.0, 1.0 / 3.0])
+    # three quarters of a chance of a half that there is one: .375
+    assert_allclose(hyper._odds_of_sharing(spectrum(47.2, 83.0), other, 1.0, 0.5), 0.375 / 0.625)
 
 
 def test_errors_of_a_given_density_are_owned_and_no_motion() -> None:

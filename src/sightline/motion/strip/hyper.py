@@ -534,7 +534,7 @@ def fit_prior_model(
 
     def shared(axis: int) -> FittedSpectrum:
         through = [
-            (f, chance * _odds_of_sharing(spectra[axis], one.spectrum, SAME_TONE / length))
+            (f, _odds_of_sharing(spectra[axis], one.spectrum, SAME_TONE / length, chance))
             for other, one in enumerate(first)
             for f, chance in (() if other == axis or certain[axis] else one.through)
         ]
@@ -603,10 +603,14 @@ def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> li
     return out
 
 
-def _odds_of_sharing(own: Spectrum, other: Spectrum, apart: float) -> float:
-    """Odds that an axis has a further mode of another, by how many of its tones it has (Laplace's rule)."""
+def _odds_of_sharing(own: Spectrum, other: Spectrum, apart: float, chance: float) -> float:
+    """Odds that an axis has a further mode of another, by how many of its tones it has (Laplace's rule).
+
+    The other has that mode by a `chance`.
+    """
     shared = sum(any(abs(a.frequency - b.frequency) <= apart for a in own.tones) for b in other.tones)
-    return (shared + 1.0) / (len(other.tones) - shared + 1.0)
+    both = chance * (shared + 1.0) / (len(other.tones) + 2.0)
+    return both / (1.0 - both)
 
 
 def _share(own: Sequence[Tone], others: Sequence[Tone], apart: float) -> float | None:
