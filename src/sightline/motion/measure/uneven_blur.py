@@ -54,6 +54,8 @@ _AT_ONCE = 1024
 _PLACES, _SHARES = leggauss(3)
 #: Windows of a pair that show how much their blur leaves of each frequency.
 _SAMPLE = 256
+#: Least that blur is taken to leave: of frequencies that it leaves less of, coherence says no more.
+_LEAST = 0.05
 
 
 def displacement(
@@ -107,7 +109,7 @@ def displacement(
         return out
     windows = _Windows(cameras, pair, pixels, t, by, affine, motions, lines, weights)
     sample = seen[np.unique(np.linspace(0, len(seen) - 1, _SAMPLE).astype(int))]
-    left = np.hypot(*windows.shown(sample)).mean(axis=0)
+    left = np.maximum(np.hypot(*windows.shown(sample)).mean(axis=0), _LEAST)
     weight = weights.weight / np.sqrt(left * left[weights.mirror])
 
     def values(first: int) -> Array:

@@ -63,8 +63,8 @@ ROUNDS, DRAFT_ROUNDS = 4, 2
 #: while their sizes still grow, by which sigmas of the motion grow: these change by less than SAME_SIZE.
 STILL, SAME_SIZE = 0.025, 0.1
 #: Share to which the displacement of matches by jitter within the stages of TDI is known. With the
-#: motion known, tones of 47 and 83 Hz of it (16 stages, three scenes, SNR 3000) were .04 to .35 of themselves
-#: off, the more across the lines: .15 in the mean square.
+#: motion known, tones of 47 and 83 Hz of it (16 stages, three scenes, SNR 3000) were .10, .18 and .21 of
+#: themselves off in the mean square.
 BLUR_ERROR = 0.15
 #: Of what the difference of both moves the motion by, so much is its error.
 FED_BACK = 0.5
