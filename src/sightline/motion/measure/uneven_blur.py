@@ -54,6 +54,8 @@ _AT_ONCE = 1024
 _PLACES, _SHARES = leggauss(3)
 #: Windows of a pair that show how much their blur leaves of each frequency.
 _SAMPLE = 256
+#: Stages at most that stand for all: as many instants of 32 spread within .2 % as those do.
+_STAGES = 16
 #: Least that blur is taken to leave: of frequencies that it leaves less of, coherence says no more.
 _LEAST = 0.05
 
@@ -110,12 +112,14 @@ def displacement(
     windows = _Windows(cameras, pair, pixels, t, by, affine, motions, lines, weights)
     sample = seen[np.unique(np.linspace(0, len(seen) - 1, _SAMPLE).astype(int))]
     left = np.maximum(np.hypot(*windows.shown(sample)).mean(axis=0), _LEAST)
-    weight = weights.weight / np.sqrt(left * left[weights.mirror])
+    weight = weights.weight / np.sqrt(left * weights.mirrored(left))
+
+    frequency = weights.frequency
 
     def values(first: int) -> Array:
         which = seen[first : first + _AT_ONCE]
         shift = np.zeros((len(which), 2))
-        _shifts(*windows.shown(which), weights.frequency, weight, shift)
+        _shifts(*windows.shown(which), frequency, weight, shift)
         return shift
 
     begins = range(0, len(seen), _AT_ONCE)
@@ -146,32 +150,48 @@ def _motion(camera: MovingCamera, whole: bool) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class _Weights:
-    """Frequencies (Q, 2), rad/px; how much they count for a shift; W'/W, px, and W''/W, px^2, (2, Q, 2).
+    """How much frequencies count for a shift, and how filters slope there.
 
-    `mirror` (Q,): which of them lies as far on the other side of an axis.
+    Attributes
+    ----------
+    y, x : (Y,) and (X,)
+        rad/px; frequencies along the lines, in the order of `numpy.fft.fftfreq`, and across.
+    weight : (Y X,)
+        Of each of all pairs of these.
+    slopes : (2, Y X, 2)
+        W'/W, px, and W''/W, px^2, of the filters of hub and partner.
     """
 
-    frequency: Array
+    y: Array
+    x: Array
     weight: Array
     slopes: Array
-    mirror: NDArray[np.intp]
+
+    @property
+    def frequency(self) -> Array:
+        """(Y X, 2) rad/px."""
+        return np.stack(np.meshgrid(self.y, self.x, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def mirrored(self, values: Array) -> Array:
+        """Values (Y X,) of the frequencies that lie as far on the other side of an axis."""
+        table = values.reshape(len(self.y), len(self.x))
+        return np.asarray(np.roll(table[::-1], 1, axis=0).ravel())
 
 
 def _weights(coherence: NDArray[np.float64], whitening: Whitening) -> _Weights:
     """Of a pair."""
     lines, half = coherence.shape
     along, across = np.fft.fftfreq(lines), np.fft.rfftfreq(2 * (half - 1))
-    keep = (np.abs(along) < _HIGHEST)[:, None] & (across < _HIGHEST)[None, :]
-    keep &= (np.arange(lines) % _EVERY == 0)[:, None] & (np.arange(half) % _EVERY == 0)[None, :]
+    keep_y = (np.abs(along) < _HIGHEST) & (np.arange(lines) % _EVERY == 0)
+    keep_x = (across < _HIGHEST) & (np.arange(half) % _EVERY == 0)
+    keep = np.ix_(keep_y, keep_x)
     squared = np.clip(coherence[keep], 0.0, _MOST)
-    y, x = np.broadcast_arrays(along[:, None], across[None, :])
-    frequency = 2.0 * math.pi * np.stack([y[keep], x[keep]], axis=1)
-    both = np.where(frequency[:, 1] > 0.0, 2.0, 1.0)  # half of the plane stands for the whole
-    slopes = np.stack([_slopes(whitening, image)[keep] for image in ("a", "b")])
-    # a frequency of the highest negative line has none
-    opposite = {(-y, x): k for k, (y, x) in enumerate(frequency.tolist())}
-    mirror = np.array([opposite.get((y, x), k) for k, (y, x) in enumerate(frequency.tolist())])
-    return _Weights(frequency, both * squared / (1.0 - squared), slopes, mirror)
+    both = np.where(across[keep_x] > 0.0, 2.0, 1.0)  # half of the plane stands for the whole
+    weight = both * squared / (1.0 - squared)
+    slopes = [_slopes(whitening, image)[keep].reshape(-1, 2) for image in ("a", "b")]
+    return _Weights(
+        2.0 * math.pi * along[keep_y], 2.0 * math.pi * across[keep_x], weight.ravel(), np.stack(slopes)
+    )
 
 
 def _slopes(whitening: Whitening, image: str) -> Array:
@@ -202,9 +222,9 @@ class _Windows:
 
     def shown(self, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """What windows show of each frequency in the product of both images: (N, Q) real and imaginary."""
-        re, im = np.empty((2, len(which), len(self.weights.frequency)))
+        re, im = np.empty((2, len(which), len(self.weights.weight)))
         sides = [value for side in range(2) for value in self._stages(side, which)]
-        _phase_factors(*sides, self.weights.frequency, self.weights.slopes, 0.5 * _SHARES, re, im)
+        _phase_factors(*sides, self.weights.y, self.weights.x, self.weights.slopes, 0.5 * _SHARES, re, im)
         return re, im
 
     def _stages(self, side: int, which: NDArray[np.intp]) -> tuple[Array, NDArray[np.int64]]:
@@ -215,9 +235,10 @@ class _Windows:
         hub, camera = self.cameras[self.pair[0]].detector, self.cameras[self.pair[side]]
         assert isinstance(hub, LineDetector)
         assert isinstance(camera, PushbroomCamera)
-        counts = camera.stages_of(self.pixels[side][which]).astype(np.int64)
+        whole = camera.stages_of(self.pixels[side][which]).astype(np.int64)
+        counts = np.minimum(whole, _STAGES)
         stage = np.arange(int(counts.max()))
-        late = np.minimum(stage, counts[:, None] - 1) - 0.5 * (counts[:, None] - 1)
+        late = ((np.minimum(stage, counts[:, None] - 1) + 0.5) / counts[:, None] - 0.5) * whole[:, None]
         instants = self.t[side][which][:, None] + late * camera.detector.line_period
         instants = instants[:, None] + (0.5 * self.lines * hub.line_period * _PLACES)[:, None]
         into_hub = np.linalg.inv(self.affine[which])
@@ -245,43 +266,59 @@ def _line_of_sight(camera: PushbroomCamera) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _shown(moved, count, y, x, slopes):  # type: ignore[no-untyped-def]
-    """What a filter shows of a mean of phase factors at a frequency, over the filter: (real, imaginary).
+def _powers(phase, factors):  # type: ignore[no-untyped-def]
+    """Phase factors of 0, 1, 2, ... times `phase`, into `factors`."""
+    base = complex(math.cos(phase), math.sin(phase))
+    factors[0] = 1.0
+    for k in range(1, len(factors)):
+        factors[k] = factors[k - 1] * base
 
-    `moved` (S, 3, 2): place of each stage, its change and that one's change from line to line.
+
+@njit(cache=True, nogil=True)
+def _shown(moved, count, y, x, slopes, by_y, by_x, sums):  # type: ignore[no-untyped-def]
+    """What a filter shows of means of phase factors at frequencies `y` and `x`, over the filter: `sums[0]`.
+
+    `moved` (S, 3, 2): place of each stage, its change and that one's change from line to line. `by_y`, `by_x`
+    and `sums` (3, Y X) are room to work in.
     """
-    re, im, re_1, im_1, re_2, im_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    sums[:] = 0.0
     for s in range(count):
-        phase = y * moved[s, 0, 0] + x * moved[s, 0, 1]
-        rate = y * moved[s, 1, 0] + x * moved[s, 1, 1]
-        bend = y * moved[s, 2, 0] + x * moved[s, 2, 1]
-        c, d = math.cos(phase), math.sin(phase)
-        re += c
-        im += d
-        re_1 -= rate * d
-        im_1 += rate * c
-        re_2 -= bend * d + rate * rate * c
-        im_2 += bend * c - rate * rate * d
-    shown_re = re - slopes[0] * im_1 - 0.5 * slopes[1] * re_2
-    shown_im = im + slopes[0] * re_1 - 0.5 * slopes[1] * im_2
-    return shown_re / count, shown_im / count
+        _powers(y[1] * moved[s, 0, 0], by_y)
+        _powers(x[1] * moved[s, 0, 1], by_x)
+        for j in range(len(y)):
+            # frequencies along lines as `numpy.fft.fftfreq` has them: the negative ones mirror the first
+            of_y = by_y[j] if j < len(by_y) else by_y[len(y) - j].conjugate()
+            rate_y, bend_y = y[j] * moved[s, 1, 0], y[j] * moved[s, 2, 0]
+            for i in range(len(x)):
+                factor = of_y * by_x[i]
+                rate = rate_y + x[i] * moved[s, 1, 1]
+                bend = bend_y + x[i] * moved[s, 2, 1]
+                k = j * len(x) + i
+                sums[0, k] += factor
+                sums[1, k] += 1j * rate * factor
+                sums[2, k] += (1j * bend - rate * rate) * factor
+    for k in range(sums.shape[1]):
+        sums[0, k] = (sums[0, k] + 1j * slopes[k, 0] * sums[1, k] - 0.5 * slopes[k, 1] * sums[2, k]) / count
 
 
 @njit(cache=True, nogil=True)
 def _phase_factors(  # type: ignore[no-untyped-def]
-    hub, hub_counts, partner, partner_counts, frequency, slopes, shares, re, im
+    hub, hub_counts, partner, partner_counts, y, x, slopes, shares, re, im
 ):
     """What windows of several lines, their `shares`, show of frequencies in the product of both images."""
+    by_y, by_x = np.empty(len(y) // 2 + 1, np.complex128), np.empty(len(x), np.complex128)
+    of_hub, of_partner = np.empty((3, re.shape[1]), np.complex128), np.empty((3, re.shape[1]), np.complex128)
     for n in range(len(re)):
-        for k in range(len(frequency)):
-            y, x = frequency[k, 0], frequency[k, 1]
-            re[n, k], im[n, k] = 0.0, 0.0
-            for p in range(len(shares)):
-                m = n * len(shares) + p
-                re_h, im_h = _shown(hub[m], hub_counts[m], y, x, slopes[0, k])
-                re_p, im_p = _shown(partner[m], partner_counts[m], y, x, slopes[1, k])
-                re[n, k] += shares[p] * (re_p * re_h + im_p * im_h)
-                im[n, k] += shares[p] * (im_p * re_h - re_p * im_h)
+        re[n] = 0.0
+        im[n] = 0.0
+        for p in range(len(shares)):
+            m = n * len(shares) + p
+            _shown(hub[m], hub_counts[m], y, x, slopes[0], by_y, by_x, of_hub)
+            _shown(partner[m], partner_counts[m], y, x, slopes[1], by_y, by_x, of_partner)
+            for k in range(re.shape[1]):
+                both = of_partner[0, k] * of_hub[0, k].conjugate()
+                re[n, k] += shares[p] * both.real
+                im[n, k] += shares[p] * both.imag
 
 
 @njit(cache=True, nogil=True)
