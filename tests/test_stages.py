@@ -12,6 +12,7 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
+from sightline.errors import InputError
 from sightline.stages import Stages, pack, unpack
 
 
@@ -192,6 +193,21 @@ def test_files_of_the_problem_count_by_name_size_and_time(tmp_path):
     file.write_text("bb")
     assert run() == ["one"] and run() == []
     assert run(0.1) == ["one"] and run(0.2) == ["one"]
+
+
+def test_what_a_run_before_the_stopped_one_left_is_no_reason_to_refuse(tmp_path):
+    def run(number: float, names: str, *, refuse: bool = False) -> list[str]:
+        stages = Stages(tmp_path, refuse=refuse)
+        stages.depend(number)
+        for name in names:
+            stages.stage(name, Inner, lambda: Inner(np.full(1, number), "x"))
+        return stages.computed
+
+    assert run(1.0, "abc") == ["a", "b", "c"]
+    with pytest.raises(InputError, match="cannot go on from it"):
+        run(2.0, "abc", refuse=True)
+    assert run(2.0, "a") == ["a"]  # and was stopped
+    assert run(2.0, "abc", refuse=True) == ["b", "c"]
 
 
 def test_a_stage_within_a_stage_does_not_change_those_after_it(tmp_path):

@@ -53,7 +53,8 @@ class Stages:
     warn : callable, optional
         Called with a text where a file is passed over.
     refuse : bool
-        Whether a stage of other inputs is refused in place of being passed over: the user asked to go on.
+        Whether a stage of other inputs is refused in place of being passed over, unless some of these inputs
+        are there: the user asked to go on.
 
     Attributes
     ----------
@@ -196,6 +197,13 @@ class Stages:
         """Whether a stage of these inputs is there."""
         return self._folder is not None and self._path(name).is_file() and self._read(name) is not None
 
+    @property
+    def size(self) -> int:
+        """Bytes of what is kept already."""
+        if self._folder is None or not self._folder.is_dir():
+            return 0
+        return sum(path.stat().st_size for path in self._folder.glob(f"*{_SUFFIX}"))
+
     def drop(self, name: str) -> None:
         """Forget a stage that a later one holds."""
         if self._folder is not None:
@@ -228,7 +236,9 @@ class Stages:
         try:
             with np.load(self._path(name), allow_pickle=False) as file:
                 if str(file[_KEY]) != self._fingerprint(name):
-                    self._pass_over(name, _OTHER, refuse=self._refuse)
+                    # beside stages of these inputs it is what a run before those left
+                    own = self.found or self.computed
+                    self._pass_over(name, _OTHER, refuse=self._refuse and not own)
                     return None
                 return {key: file[key] for key in file.files if key != _KEY}
         except InputError:

@@ -120,6 +120,17 @@ def test_a_mode_that_would_stand_out_is_not_owned() -> None:
     assert np.sqrt(np.mean(found)) < 0.03
 
 
+def test_a_mode_of_another_axis_is_expected_wherever_it_lies_between_places(monkeypatch) -> None:
+    # as many places as long data have: 5 Hz apart, four times one over the length of these
+    monkeypatch.setattr("sightline.estimation.search.MOST_HIDDEN", 100)
+    finder, model = through_tdi(SEEN, 1)
+    alone, _ = finder.hidden_tones(model)
+    for place in 119.0 + np.arange(6.0):
+        tones, _ = finder.hidden_tones(model, ((place, 30.0),))
+        more, less = (sum(t.sigma**2 for t in one if 107.0 < t.frequency < 143.0) for one in (tones, alone))
+        assert more > 1.3 * less
+
+
 @pytest.mark.parametrize(("longest", "owned"), [(0.010, True), (0.005, False), (0.0, False)])
 def test_what_long_lines_may_average_away_is_owned_where_it_is_not_seldom(
     longest: float, owned: bool

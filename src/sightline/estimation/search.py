@@ -780,8 +780,10 @@ class Search:
         mixed |= _combined(np.append(plain if sure else strong, sure), exact, 1.0 / self._length)
         gain[mixed] = information[mixed] = 0.0
         for place, odds in elsewhere:
-            near = np.abs(exact - place) < SAME_TONE / self._length
-            number[near] = np.maximum(number[near], odds / max(near.sum(), 1))
+            # places of long data lie farther apart than modes that are the same
+            apart = np.abs(exact - place)
+            near = apart <= max(SAME_TONE / self._length, float(apart.min()))
+            number[near] = np.maximum(number[near], odds / near.sum())
         expected, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information, doubt)
         odds = max(number[hidden].sum(), np.exp(likely[hidden]).sum())
         if odds < SELDOM / (1.0 - SELDOM):

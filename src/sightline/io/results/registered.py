@@ -134,7 +134,8 @@ def write_products(
     dtypes = [pixel_type(acquisition, part, pixels) for part in parts]
     step = steps_of(tell, "resampling the bands")
     size = sum(len(part) * dtype.itemsize for part, dtype in zip(parts, dtypes, strict=True))
-    kept = stages if stages is not None and _room_for_stages(folder, registration, size) else Stages()
+    room = stages is not None and _room_for_stages(folder, stages, registration, size)
+    kept = stages if stages is not None and room else Stages()
     reference, grid = registration.reference, grid_of(acquisition, registration.reference)
     valid = write_registered(
         [folder / file for file in files],
@@ -163,13 +164,14 @@ class _LinesDone:
     pixels: tuple[Pixels, ...]
 
 
-def _room_for_stages(folder: Path, registration: Registration, pixel_bytes: int) -> bool:
+def _room_for_stages(folder: Path, stages: Stages, registration: Registration, pixel_bytes: int) -> bool:
     """Whether the disk holds finished blocks besides what the run itself writes: they must not end it."""
     lines, columns = registration.before[registration.reference].shape
     moved = len(registration.before) - 1
     # the draft and the image made of it; blocks of both sets of cameras, and the second of them as files
     each = 2 * pixel_bytes + 3 * 4 * moved
-    return bool(shutil.disk_usage(folder).free > lines * columns * each)
+    # an earlier run's blocks have taken some of that room
+    return bool(shutil.disk_usage(folder).free + stages.size > lines * columns * each)
 
 
 def kept_lines(

@@ -64,7 +64,9 @@ def write_signal_lines(
     from rasterio.windows import Window
 
     counts = lines.counts
-    if shutil.disk_usage(folder).free < STAGE_BYTES * counts.pixels:
+    # an earlier run's blocks have taken some of that room
+    kept = 0 if stages is None else stages.size
+    if shutil.disk_usage(folder).free + kept < STAGE_BYTES * counts.pixels:
         stages = None
     profile: dict[str, Any] = {
         "driver": "GTiff", "height": counts.lines, "width": counts.columns, "count": 2, "dtype": "uint16",

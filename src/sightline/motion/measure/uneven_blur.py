@@ -261,7 +261,10 @@ class _Windows:
 
 def _line_of_sight(camera: PushbroomCamera) -> Array:
     """(3,) in body axes, the other way round behind an odd number of mirrors: about it the image turns."""
-    axes = pointing_matrices(camera.pointing, np.array([camera.first_line_time]))[0]
+    # a mirror is known over its table, a mount at all times
+    lines = camera.times(np.array([0.0, camera.lines - 1.0]))
+    middle = float(np.clip(lines, *camera.known_span).mean())
+    axes = pointing_matrices(camera.pointing, np.array([middle]))[0]
     return np.asarray(np.linalg.det(axes) * axes[:, 2])
 
 
