@@ -12,7 +12,13 @@ from scipy.spatial.transform import Rotation
 from consistency import assert_consistent
 from motion.strips import plain_star, strip_cameras
 from sightline import execution
-from sightline.applications.line_of_sight import _hidden_names, recover_line_of_sight
+from sightline.applications.line_of_sight import (
+    _hidden_names,
+    _match,
+    _searched,
+    _share_kept,
+    recover_line_of_sight,
+)
 from sightline.errors import EstimationError, InputError
 from sightline.evaluation.score import score_result
 from sightline.geometry.conjugate import predict_match
@@ -25,6 +31,7 @@ from sightline.motion.band import Band
 from sightline.motion.measure.plan import MatchingPlan
 from sightline.motion.measure.stars import StarRecord, match_star
 from sightline.motion.measure.windows import window_grid
+from sightline.motion.strip.estimate import initial_attitude
 from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import JointPrior, less_directions, solve_joint
 from sightline.motion.strip.normal_equations import GroundOrder, normal_equations
@@ -74,8 +81,23 @@ class TestRefused:
             recover_line_of_sight(given, Plane())
         said = str(problem.value)
         assert said.startswith("the images do not match where the cameras say: ")
-        assert "windows kept within (8, 8) px of the prediction" in said
+        assert "windows kept within (24, 24) px of the prediction" in said
         assert said.endswith("that the bands overlap, or search farther: [matching] search_px")
+
+    def test_bands_beyond_the_first_search_are_searched_farther(self):
+        # a drift of 4 px a second and a turn of 4 px beside constants of 2 px: far beyond a search of 1 px
+        scene = line_of_sight_case("nominal", 5, lines=500, columns=160)
+        strip = prepared(scene.as_given(), Plane(0.0), RecoverOptions())
+        statics = np.zeros(len(strip.parameters))
+        nodes = initial_attitude(strip, statics)
+        plan = strip.plan(RecoverOptions(), (10, 48), 20, (1, 1))
+        near = _match(strip, nodes, statics, plan)
+        found, searched = _searched(strip, nodes, statics, plan, lambda *_: None)
+        assert _share_kept(near) < 0.5 and searched == (3, 3)
+        assert _share_kept(found) > 1.3 * _share_kept(near)
+        plan = strip.plan(RecoverOptions(), (10, 48), 20, (16, 16))
+        found, searched = _searched(strip, nodes, statics, plan, lambda *_: None)
+        assert _share_kept(found) > 0.9 and searched == (16, 16)
 
     def test_images_without_common_ground_are_refused(self):
         # 4000 px ahead of an image of 300 lines: no window lies on both images

@@ -28,7 +28,7 @@ from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.rasters import CACHE_MIB, raster_cache
 from sightline.imaging.source import in_memory
-from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
+from sightline.matching.matches import NOT_CHOSEN, OUTSIDE, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
 from sightline.motion.measure.plan import MatchingPlan, hub_windows
@@ -81,6 +81,7 @@ from sightline.motion.strip.viewing_axes import (
     turned_star,
 )
 from sightline.motion.strip.warnings import (
+    ENOUGH_KEPT,
     control_warnings,
     controlled_lines,
     observed_lines,
@@ -119,6 +120,9 @@ LINES_AT_HAND, LEAST_CACHE_MIB = 1024, 8
 ASIDE = 0.95
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
+#: Where fewer windows than half of those tried are kept, the first search goes so many times as far, up to so
+#: many px, and counts if it keeps so many times as many.
+FARTHER, FARTHEST, MORE_KEPT = 3, 32, 1.3
 #: Stages that are kept: the state after so many passes, after the last one of a wide strip, and after that
 #: under a given spectrum.
 _AFTER, _WHOLE, _GIVEN = "pass-{}", "pass-last", "pass-given"
@@ -394,11 +398,11 @@ def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Pro
 
 def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> StripState:
     """Search about the nominal prediction with large windows; solve under a broad prior."""
-    step = steps_of(tell, "first pass: wide search")
     statics = np.zeros(len(strip.parameters))
     nodes = initial_attitude(strip, statics)
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
-    records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan, step=step))
+    records, searched = _searched(strip, nodes, statics, plan, tell)
+    records = tuple(_with_floor(r) for r in records)
     tried = sum(int((r.status != NOT_CHOSEN).sum()) for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
     if kept < max(20, MIN_KEPT_SHARE * tried):
@@ -410,9 +414,9 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
             )
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
-            f"{options.search_px} px of the prediction ({_counts(records)}); check look angles, line times "
+            f"{searched} px of the prediction ({_counts(records)}); check look angles, line times "
             "and that the bands overlap, or search farther: [matching] search_px"
-            f"{farthest_control(strip)}{farthest_sensor(strip, options.search_px)}"
+            f"{farthest_control(strip)}{farthest_sensor(strip, searched)}"
         )
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
@@ -422,6 +426,23 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     records = _match(strip, nodes, statics, plan, records, step, learned=True)
     records = tuple(_with_floor(r) for r in records)
     return solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
+
+
+def _searched(
+    strip: Strip, nodes: Array, statics: Array, plan: MatchingPlan, tell: Progress
+) -> tuple[tuple[StarRecord, ...], tuple[int, int]]:
+    """The first matches, and how far (lines, columns) px they were searched: farther where few are kept.
+
+    A turn about the line of sight moves bands that look ahead of a narrow line far across it.
+    """
+    records = _match(strip, nodes, statics, plan, step=steps_of(tell, "first pass: wide search"))
+    lines, columns = (max(min(FARTHER * px, FARTHEST), px) for px in plan.search_px)
+    if _share_kept(records) >= ENOUGH_KEPT or (lines, columns) == plan.search_px:
+        return records, plan.search_px
+    step = steps_of(tell, f"first pass: searching within {lines} lines and {columns} columns")
+    farther = _match(strip, nodes, statics, replace(plan, search_px=(lines, columns)), step=step)
+    better = _share_kept(farther) > MORE_KEPT * _share_kept(records)
+    return farther if better else records, (lines, columns)
 
 
 def _found_shapes(strip: Strip, state: StripState, options: RecoverOptions, tell: Progress) -> Shapes:
@@ -456,6 +477,12 @@ def _otherwise(strip: Strip, options: RecoverOptions) -> str:
         if words:
             return f"{partner.name}: {words}"
     return ""
+
+
+def _share_kept(records: Sequence[StarRecord]) -> float:
+    """Share of the windows that were tried, and lie in both images, whose matches were kept."""
+    tried = sum(int(((r.status != NOT_CHOSEN) & (r.status != OUTSIDE)).sum()) for r in records)
+    return sum(int(r.star.present.sum()) for r in records) / max(tried, 1)
 
 
 def _with_floor(record: StarRecord) -> StarRecord:
