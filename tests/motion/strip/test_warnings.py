@@ -5,10 +5,14 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.motion.strip.hyper import KnownContent
-from sightline.motion.strip.warnings import _far_off
+from sightline.motion.strip.strip import RecoverOptions, prepared
+from sightline.motion.strip.warnings import _far_off, out_of_step
+from sightline.simulate.scenarios import line_of_sight_case
 
 
 def test_what_was_found_far_from_what_was_given_is_named():
@@ -43,3 +47,15 @@ def test_what_was_found_far_from_what_was_given_is_named():
     # where nothing is given, yaw may turn as fast as its motion does
     wide = SimpleNamespace(constant_sigma=(1e-5, 1e-5, 1e-3), drift_sigma=(1e-5, 1e-5, 0.02))
     assert _far_off(strip, state(2.5, -7.5e-4, 2.5e-3, prior=wide), drifting) == []
+
+
+@pytest.mark.parametrize(
+    ("period", "smear"), [(5e-4, None), (1e-3, "3 px"), (5.5e-4, None), (6e-4, "0.6 px")]
+)
+def test_stages_that_do_not_follow_the_ground_are_named(period: float, smear: str | None) -> None:
+    # .5 ms at 6800 m/s is a pixel of 5e-6 rad from 680 km; at 1 ms three steps of four stages are 3 px behind
+    scene = line_of_sight_case("nominal", 0, lines=200, columns=120, stages=(4,), line_period=period)
+    strip = prepared(scene.as_given(), Plane(0.0), RecoverOptions())
+    said = out_of_step(strip)
+    assert len(said) == (0 if smear is None else 4)
+    assert all("smears over " in one and smear in one and "4 TDI stages" in one for one in said)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,9 @@ ENOUGH_KEPT = 0.5
 FEWEST_KEPT, LEAST_SHARE = 10, 0.1
 #: Matches that span less than this share of the field hardly tell yaw.
 ENOUGH_FIELD = 0.3
+
+#: px; smear over TDI stages that do not follow the ground: half a pixel is what designs allow.
+OUT_OF_STEP_PX = 0.5
 
 #: Modes are not unlikely up to so many times the highest frequency of those that are seen.
 NOT_FAR = 1.5
@@ -98,6 +102,31 @@ def _lost_windows(records: Sequence[StarRecord]) -> str:
         f"{STATUS_NAMES[worst]!r} ({numbers[worst]} of {len(ended)}): clouds, water, or cameras that say the "
         "wrong place"
     )
+
+
+def out_of_step(strip: Strip) -> list[str]:
+    """Bands whose TDI stages, a pixel apart, do not follow the ground as it passes from line to line."""
+    said = []
+    for name, camera in zip((band.name for band in strip.bands), strip.nominal, strict=True):
+        if camera.stages is None:
+            continue
+        middle = np.array([[0.5 * (camera.lines - 1.0), 0.5 * (camera.columns - 1.0)]])
+        ahead = replace(camera, detector=camera.detector.adjusted(1.0))
+        here, pixel, line = (
+            one.locate(middle + np.array([lines, 0.0]), strip.surface)[0]
+            for one, lines in ((camera, 0.0), (ahead, 0.0), (camera, 1.0))
+        )
+        along = pixel - here
+        passed = float((line - here) @ along / (along @ along))
+        most = int(np.max(camera.stages))
+        smear = abs(passed - 1.0) * (most - 1)
+        if smear > OUT_OF_STEP_PX:
+            said.append(
+                f"the ground passes {passed:.3g} px a line of {name}, whose {most} TDI stages are one "
+                f"px apart: by these cameras a point smears over {smear:.2g} px, and jitter within the "
+                "stages counts otherwise than is modelled; check line_period, altitude, speed and ifov"
+            )
+    return said
 
 
 def _averaged_away(strip: Strip, state: StripState) -> list[str]:
@@ -284,6 +313,7 @@ def strip_warnings(
             f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "
             "interpolated, its sigma grown"
         )
+    out += out_of_step(strip)
     out += _averaged_away(strip, state)
     out += _far_off(strip, state, motion)
     out += _sensor_warnings(strip, state.estimate)
