@@ -144,7 +144,7 @@ def fit_spectrum(
         Allowed per evaluation, see `WORK`.
     possible : sequence of Tone
         There a tone stands as wide as these, of the size that one not found has on average if beforehand it
-        is that of these.
+        is that of these; beside a frequency that all lags are blind to it is as wide as these leave it.
     corner : float, optional
         Hz; where the broadband part is believed to bend, within a factor of 2.
     detail : float
