@@ -52,7 +52,7 @@ SLOWEST = 2.0
 #: Tones nearer to the rate of the differences than this, in units of one over the length of the data, turn by
 #: so few periods against it that offsets of the images, and drifts, take their place.
 NEAR_RATE = 4.0
-#: Tones of two axes nearer than this, in units of one over the length of the strip, are one mode.
+#: Tones nearer than this, in units of one over the length of the data, are one mode, of one axis or of two.
 SAME_TONE = 1.5
 #: Highest frequency of a tone that is looked for, in units of one over the time that a measurement averages
 #: over: a quarter of such a tone is left in it.
@@ -398,7 +398,8 @@ class Search:
         for f in frequencies:
             if not 0.0 < f < 0.5 / self._equations.grid.step:
                 continue
-            near = [k for k, tone in enumerate(model.tones) if abs(tone.frequency - f) < 1.5 / self._length]
+            apart = SAME_TONE / self._length
+            near = [k for k, tone in enumerate(model.tones) if abs(tone.frequency - f) < apart]
             size = max((model.tones[k].sigma for k in near), default=0.1)
             for k in reversed(near):
                 model = model.without_tone(k)
@@ -426,7 +427,7 @@ class Search:
         known = [tone.frequency for tone in model.tones]
         usable = (frequency > lowest) & (frequency < highest)
         for f in known:
-            usable &= np.abs(frequency - f) > 1.5 / self._length
+            usable &= np.abs(frequency - f) > SAME_TONE / self._length
         usable &= ~self._constant(frequency) & ~self._alias(frequency, known)
         usable &= left_by_tdi(frequency, self._tdi) >= LEFT_BY_TDI
         peak = np.zeros(len(ratio), dtype=bool)
@@ -571,7 +572,7 @@ class Search:
         frequencies into a short strip as the tone itself. Beside a blind frequency a tone whose own is not
         `known` may lie at it: there stands the mean of all that may be (`with_doubtful_tones`).
         """
-        apart = 1.5 / self._length
+        apart = SAME_TONE / self._length
         new = [one for one in possible if all(abs(t.frequency - one.frequency) > apart for t in model.tones)]
         constant = self._constant(np.array([one.frequency for one in new]))
         new = [one for one, never in zip(new, constant, strict=True) if not never]
@@ -645,7 +646,7 @@ class Search:
         """The mean of all that a tone may be beside `others`; None where its frequency tells its size."""
         f = tone.frequency + np.linspace(-DOUBT, DOUBT, DOUBT_PLACES) / self._length
         for other in others.tones:
-            f = f[np.abs(f - other.frequency) > 1.5 / self._length]
+            f = f[np.abs(f - other.frequency) > SAME_TONE / self._length]
         f = f[(f > SLOWEST / self._length) & (f < 0.5 / self._equations.grid.step)]
         if len(f) < 3:
             return None

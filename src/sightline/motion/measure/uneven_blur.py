@@ -112,9 +112,7 @@ def displacement(
     windows = _Windows(cameras, pair, pixels, t, by, affine, motions, lines, weights)
     sample = seen[np.unique(np.linspace(0, len(seen) - 1, _SAMPLE).astype(int))]
     left = np.maximum(np.hypot(*windows.shown(sample)).mean(axis=0), _LEAST)
-    weight = weights.weight / np.sqrt(left * weights.mirrored(left))
-
-    frequency = weights.frequency
+    weight, frequency = weights.weight / np.sqrt(left * weights.mirrored(left)), weights.frequency
 
     def values(first: int) -> Array:
         which = seen[first : first + _AT_ONCE]
@@ -247,10 +245,10 @@ class _Windows:
         across = into_hub[:, :, 1] if side else np.tile([0.0, 1.0], (len(which), 1))
         skew = across[:, None] * -late[:, :, None]
         used = (stage < counts[:, None])[:, None, :, None]
-        out = []
+        sight, motion, out = _line_of_sight(camera), self.motions[side], []
         for beside in (0.0, -hub.line_period, hub.line_period):
-            angles = self.motions[side].at(np.clip(instants + beside, *self.motions[side].span).ravel())
-            about_sight = (angles @ _line_of_sight(camera)).reshape(instants.shape)
+            angles = motion.at(np.clip(instants + beside, *motion.span).ravel())
+            about_sight = (angles @ sight).reshape(instants.shape)
             moved = np.einsum("nca,npka->npkc", turn, angles.reshape(*instants.shape, 3))
             moved += skew[:, None] * about_sight[..., None]
             out.append(moved - (moved * used).sum(axis=2, keepdims=True) / counts[:, None, None, None])
