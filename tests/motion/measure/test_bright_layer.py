@@ -10,6 +10,8 @@ from sightline.motion.measure.bright_layer import RowShifts, bright_windows, sum
 
 ROWS, BLOCKS, STEP, SIGMA = 300, 7, 4.0, 0.03
 GROUND, SPREAD, CLOUD = 1400.0, 150.0, 3100.0
+#: px by which a metre of height shifts: 10 m pixels, two bands a tenth of a second apart at 786 km.
+PER_METRE = 1e-5
 
 Flags = NDArray[np.bool_]
 Array = NDArray[np.float64]
@@ -38,7 +40,7 @@ def scattered() -> Flags:
 
 def test_clouds_that_fill_most_of_a_row_are_found_by_what_is_seen_elsewhere():
     cloudy = scattered()
-    got, tells = bright_windows(*strip(1, cloudy), np.ones(cloudy.shape, dtype=bool), STEP)
+    got, tells = bright_windows(*strip(1, cloudy), np.ones(cloudy.shape, dtype=bool), STEP, PER_METRE)
     assert tells and got[cloudy].all()
     # of the ground 0.6 % is beyond 2.5 sigma, and costs its two neighbours above and below; clouds theirs
     away = sum_along(cloudy.astype(float), 2) == 0
@@ -49,7 +51,8 @@ def test_clouds_that_fill_most_of_a_row_are_found_by_what_is_seen_elsewhere():
 @pytest.mark.parametrize("departure", [12 * SIGMA, -12 * SIGMA])
 def test_which_way_clouds_shift_does_not_matter(departure):
     cloudy = scattered()
-    got, tells = bright_windows(*strip(2, cloudy, departure), np.ones(cloudy.shape, dtype=bool), STEP)
+    matched = np.ones(cloudy.shape, dtype=bool)
+    got, tells = bright_windows(*strip(2, cloudy, departure), matched, STEP, PER_METRE)
     assert tells and got[cloudy].all()
 
 
@@ -58,7 +61,7 @@ def test_bright_ground_that_moves_with_the_rest_is_believed():
     matched = np.ones(cloudy.shape, dtype=bool)
     # one strip of plain ground in 150 gets beyond CERTAIN by chance: of five none
     for seed in range(3, 8):
-        got, tells = bright_windows(*strip(seed, cloudy, 0.0), matched, STEP)
+        got, tells = bright_windows(*strip(seed, cloudy, 0.0), matched, STEP, PER_METRE)
         assert not tells and not got.any()
 
 
@@ -66,14 +69,24 @@ def test_a_difference_too_small_to_matter_is_no_cloud():
     cloudy = scattered()
     matched = np.ones(cloudy.shape, dtype=bool)
     # 700 windows against 1400, lines removed: known to about sigma / 20, 0.4 sigma is eight standard errors
-    assert not bright_windows(*strip(12, cloudy, 0.4 * SIGMA), matched, STEP)[1]
-    assert bright_windows(*strip(12, cloudy, 0.7 * SIGMA), matched, STEP)[1]
+    assert not bright_windows(*strip(12, cloudy, 0.4 * SIGMA), matched, STEP, PER_METRE)[1]
+    assert bright_windows(*strip(12, cloudy, 0.7 * SIGMA), matched, STEP, PER_METRE)[1]
+
+
+def test_bright_ground_that_departs_by_less_than_a_low_cloud_is_ground():
+    cloudy = scattered()
+    matched = np.ones(cloudy.shape, dtype=bool)
+    # textures of unlike colour err alike, by 30 standard errors; a cloud 40 m or 1000 m high shifts as much
+    for height, cloud in ((40.0, False), (1000.0, True)):
+        shifts, brightness = strip(13, cloudy, 1.5 * SIGMA)
+        got, tells = bright_windows(shifts, brightness, matched, STEP, 1.5 * SIGMA / height)
+        assert tells == cloud and got[cloudy].all() == cloud
 
 
 def test_bright_windows_that_depart_in_one_place_alone_prove_nothing():
     cloudy = np.zeros((ROWS, BLOCKS), dtype=bool)
     cloudy[100:130, 1:4] = True
-    got, tells = bright_windows(*strip(9, cloudy), np.ones(cloudy.shape, dtype=bool), STEP)
+    got, tells = bright_windows(*strip(9, cloudy), np.ones(cloudy.shape, dtype=bool), STEP, PER_METRE)
     assert not tells and not got.any()
 
 
@@ -88,7 +101,7 @@ class TestFlatWhite:
         matched = np.ones((ROWS, BLOCKS), dtype=bool)
         matched[120:190] = False
         seen = RowShifts(shifts.x, shifts.value, shifts.variance, matched)
-        got, tells = bright_windows(seen, brightness, matched, STEP)
+        got, tells = bright_windows(seen, brightness, matched, STEP, PER_METRE)
         assert not tells  # not of the rest of the strip
         return got
 
@@ -110,10 +123,10 @@ def test_unknown_brightness_tells_nothing():
     cloudy = scattered()
     shifts, brightness = strip(11, cloudy)
     matched = np.ones(cloudy.shape, dtype=bool)
-    got, tells = bright_windows(shifts, np.full(cloudy.shape, np.nan), matched, STEP)
+    got, tells = bright_windows(shifts, np.full(cloudy.shape, np.nan), matched, STEP, PER_METRE)
     assert not tells and not got.any()
     brightness[::2] = np.nan
-    got, tells = bright_windows(shifts, brightness, matched, STEP)
+    got, tells = bright_windows(shifts, brightness, matched, STEP, PER_METRE)
     assert got[1::2][cloudy[1::2]].all()
 
 

@@ -32,6 +32,9 @@ CERTAIN, MOST_STRETCHES, LEAST_STRETCHES = 5.0, 16, 4.0
 #: A difference below so many sigmas of one window is none of clouds: bright and dark ground are sharpened and
 #: matched a little differently, which a whole strip shows to a thirtieth of a sigma.
 MATERIAL = 0.5
+#: m; nor is one smaller than what a cloud of that height shifts: bright and dark ground of real scenes
+#: was seen to differ as if by 25 to 270 m, across the lines too. Wind of 3 m/s shifts as much.
+LEAST_CLOUD = 300.0
 #: Ground is at most so many of its own sigmas brighter than its median (0.6 % of Gaussian ground is beyond).
 USUAL_GROUND = 2.5
 #: What is brighter than its median by so many is no ground of the usual kind: white.
@@ -64,7 +67,9 @@ class RowShifts:
     seen: Flags
 
 
-def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: float) -> tuple[Flags, bool]:
+def bright_windows(
+    shifts: RowShifts, brightness: Array, matched: Flags, step: float, per_metre: float
+) -> tuple[Flags, bool]:
     """Windows (rows, blocks) that are taken for cloud because they, or those next to them, are so bright.
 
     And whether brightness tells clouds from ground in all of the strip.
@@ -78,6 +83,8 @@ def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: f
         Windows with any match.
     step : float
         Lines between rows.
+    per_metre : float
+        px by which a target higher by a metre is shifted.
     """
     known = np.isfinite(brightness)
     seen = shifts.seen & known
@@ -85,7 +92,7 @@ def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: f
     if seen.sum() < 2 * LEAST_WINDOWS:
         return out, False
     ground, brightness = brightness[seen], np.where(known, brightness, -np.inf)
-    cloud = _departing_brightness(shifts, brightness, seen, step)
+    cloud = _departing_brightness(shifts, brightness, seen, step, LEAST_CLOUD * per_metre)
     if cloud is not None:
         out |= brightness > _brightest_ground(ground, cloud)
     white = _flat_white(brightness, ground, matched, step)
@@ -95,8 +102,12 @@ def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: f
     return np.asarray(sum_along(out.astype(float), _rows(FADING, step)) > 0), cloud is not None
 
 
-def _departing_brightness(shifts: RowShifts, brightness: Array, seen: Flags, step: float) -> float | None:
+def _departing_brightness(
+    shifts: RowShifts, brightness: Array, seen: Flags, step: float, least_px: float
+) -> float | None:
     """Mean brightness of windows that, wherever in the strip, depart alike from darker ones of their row.
+
+    By `least_px` or more.
 
     Every split into bright and dark windows gives one difference of their shifts, with level and tilt of
     each row left out; its standard error is that over stretches of the strip (jackknife).
@@ -111,7 +122,8 @@ def _departing_brightness(shifts: RowShifts, brightness: Array, seen: Flags, ste
     for component in range(2):
         weight = np.where(seen, 1.0 / shifts.variance[..., component], 0.0)
         value = _without_line(shifts.value[..., component], weight, shifts.x)
-        least = MATERIAL * math.sqrt(float(np.median(shifts.variance[seen, component])))
+        sigma = math.sqrt(float(np.median(shifts.variance[seen, component])))
+        least = max(MATERIAL * sigma, least_px)
         for split in np.linspace(low, high, SPLITS, endpoint=False):
             bright = seen & (brightness > split)
             if not LEAST_WINDOWS <= bright.sum() <= seen.sum() - LEAST_WINDOWS:

@@ -110,12 +110,13 @@ def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> A
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     by_height = _by_height(star, shift.lag)
     shift = replace(shift, lasting=(by_height * relief_sigma) ** 2)
-    up = by_height / max(float(np.hypot(*by_height)), 1e-30)
+    per_metre = float(np.hypot(*by_height))
+    up = by_height / max(per_metre, 1e-30)
     if star.brightness is not None:
         # brightness has judged these: the rest is judged by itself
         shifts = RowShifts(shift.x, shift.value, shift.variance + shift.lasting, shift.seen)
         brightness = star.brightness.reshape(star.shape)
-        bright, tells = bright_windows(shifts, brightness, matched, _line_step(star))
+        bright, tells = bright_windows(shifts, brightness, matched, _line_step(star), per_metre)
         shift = replace(shift, seen=shift.seen & ~bright, lent=0 if tells else shift.lent)
     worst = _worst_departures(shift, reaches, up, least)
     undermined = _undermined(shift, worst, reaches, up)
