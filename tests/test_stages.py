@@ -210,6 +210,27 @@ def test_what_a_run_before_the_stopped_one_left_is_no_reason_to_refuse(tmp_path)
     assert run(2.0, "abc", refuse=True) == ["b", "c"]
 
 
+@pytest.mark.parametrize("nested", [False, True])
+def test_going_on_where_another_command_was_stopped_leaves_its_stages(tmp_path, nested):
+    def run(folder, name: str, *, refuse: bool) -> None:
+        stages = Stages(folder, refuse=refuse)
+        if nested:
+            stages.stage(f"{name}-all", Other, lambda: stages.once(name, Other, lambda: Other(1.0)))
+        else:
+            stages.once(name, Other, lambda: Other(1.0))
+
+    run(tmp_path / "one", "poses", refuse=False)
+    before = {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()}
+    with pytest.raises(InputError, match=r"poses.*another command.*leave --resume out"):
+        run(tmp_path / "one", "table", refuse=True)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()} == before
+    # its own are gone on from, whole or damaged
+    run(tmp_path / "one", "poses", refuse=True)
+    for path in (tmp_path / "one").iterdir():
+        path.write_bytes(b"cut")
+    run(tmp_path / "one", "poses", refuse=True)
+
+
 def test_a_stage_within_a_stage_does_not_change_those_after_it(tmp_path):
     def outer(stages: Stages) -> Inner:
         stages.depend("within")

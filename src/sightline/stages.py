@@ -71,6 +71,7 @@ class Stages:
         self._key = hashlib.sha256(VERSION.encode())
         self.computed: list[str] = []
         self.found: list[str] = []
+        self._passed_over = False
         self.taken_over = 0.0
         self._since = time.process_time()
 
@@ -188,7 +189,19 @@ class Stages:
         return spent
 
     def _keep(self, name: str, packed: Packed, seconds: float) -> None:
-        """Keep a stage that was computed now."""
+        """Keep a stage that was computed now.
+
+        Where the user asked to go on, and none of the stages that wait is one of this run's, they are of
+        another command: at the end of this run they would be removed.
+        """
+        if self._refuse and not (self.found or self.computed or self._passed_over):
+            waiting = self._waiting()
+            if waiting:
+                raise InputError(
+                    f"{waiting[0]}: it is of another command or of other options, and --resume cannot go on "
+                    "from it; go on with the command that left it, or give another --out, or leave --resume "
+                    "out to begin anew"
+                )
         self.computed.append(name)
         if self._folder is not None:
             self._write(name, packed | {_SECONDS: np.array(seconds)})
@@ -200,9 +213,7 @@ class Stages:
     @property
     def size(self) -> int:
         """Bytes of what is kept already."""
-        if self._folder is None or not self._folder.is_dir():
-            return 0
-        return sum(path.stat().st_size for path in self._folder.glob(f"*{_SUFFIX}"))
+        return sum(path.stat().st_size for path in self._waiting())
 
     def drop(self, name: str) -> None:
         """Forget a stage that a later one holds."""
@@ -217,6 +228,12 @@ class Stages:
             path.unlink(missing_ok=True)
         if not any(self._folder.iterdir()):
             self._folder.rmdir()
+
+    def _waiting(self) -> list[Path]:
+        """Files of stages that are kept already."""
+        if self._folder is None or not self._folder.is_dir():
+            return []
+        return sorted(self._folder.glob(f"*{_SUFFIX}"))
 
     def _path(self, name: str) -> Path:
         assert self._folder is not None
@@ -248,6 +265,7 @@ class Stages:
             return None
 
     def _pass_over(self, name: str, why: str, *, refuse: bool = False) -> None:
+        self._passed_over = True
         if refuse:
             raise InputError(
                 f"{self._path(name)}: {why} than those given now, and --resume cannot go on from it; give "
