@@ -245,6 +245,10 @@ class LinkedFrames:
         whole = by_own @ inner[u.shot] @ np.swapaxes(by_own, 1, 2)
         return np.asarray(whole + common @ covariance @ np.swapaxes(common, 1, 2))
 
+    def following_covariance(self, covariance: Array, count: int) -> None:
+        """Not kept in this order: see `form_covariance`."""
+        return None
+
     def point_covariance(self, covariance: Array) -> None:
         """Not kept in this order: triangulate the points with the poses found."""
         return None

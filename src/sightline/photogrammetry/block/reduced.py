@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -350,22 +351,50 @@ class PointsFirst:
         taken = self._factor.solve(flat) - self._bridge @ step
         return self._unknowns.departures(taken.reshape(own.shape), step)
 
+    @cached_property
+    def _inverse(self) -> Array:
+        """Band of the inverse of the shots' equations: of each shot with itself and with the next."""
+        return self._factor.inverse_band(2 * self._unknowns.own - 1)
+
     def departure_covariance(self, covariance: Array) -> Array:
         """Covariance (M, D, D) of the departure of each image, `covariance` (G, G) that of the globals."""
         u = self._unknowns
         own = u.own
-        band = self._factor.inverse_band(own - 1)
+        band = self._inverse
         inner = np.zeros((u.shots, own, own))
         at = own * np.arange(u.shots)
         for a in range(own):
             for b in range(a + 1):
                 inner[:, a, b] = inner[:, b, a] = band[a - b, at + b]
-        # departures = by_shot (own, the globals known) + (by_global - by_shot bridge) globals
-        common = u.by_global - u.by_shot @ self._bridge.reshape(u.shots, own, -1)
+        common = self._by_common()
         whole = u.by_shot @ inner @ np.swapaxes(u.by_shot, 1, 2)
         whole += common @ covariance @ np.swapaxes(common, 1, 2)
         split = whole.reshape(u.shots, u.slots, u.width, u.slots, u.width)
         return split[u.shot, u.slot, :, u.slot, :]
+
+    def following_covariance(self, covariance: Array, count: int) -> Array | None:
+        """Covariance (count - 1, D, D) of the first `count` images but the first (rows) with those before.
+
+        `covariance` (G, G) is that of the globals. None where they are not of shots solved one after the other.
+        """
+        u = self._unknowns
+        if (np.diff(u.shot[:count]) != 1).any():
+            return None
+        own, before, after = u.own, u.shot[: count - 1], u.shot[1:count]
+        later = np.empty((count - 1, own, own))
+        for a in range(own):
+            for b in range(own):
+                later[:, a, b] = self._inverse[own + a - b, own * before + b]
+        by_own, _ = u.of_images()
+        common = self._by_common().reshape(u.shots, u.slots, u.width, -1)
+        held, held_next = common[before, u.slot[: count - 1]], common[after, u.slot[1:count]]
+        out = by_own[1:count] @ later @ np.swapaxes(by_own[: count - 1], 1, 2)
+        return np.asarray(out + held_next @ covariance @ np.swapaxes(held, 1, 2))
+
+    def _by_common(self) -> Array:
+        """(K, n D, G): departures = by_shot (own, the globals known) + this times the globals."""
+        u = self._unknowns
+        return np.asarray(u.by_global - u.by_shot @ self._bridge.reshape(u.shots, u.own, -1))
 
     def point_covariance(self, covariance: Array) -> None:
         """Not kept in this order: triangulate the points with the poses found."""

@@ -531,6 +531,10 @@ def _between(
     count: int, images: int, width: int, covariances: _Covariances, common: Array
 ) -> tuple[Array, Array | None]:
     """Covariance of each of `count` frames with the next (count - 1, 6, 6), and of all of them, if few."""
+    if count > MOST_PAIRED:
+        near = covariances.following_covariance(common, count)
+        if near is not None:
+            return frozen(near[:, POSE_ORDER][:, :, POSE_ORDER]), None
     following = np.zeros((count - 1, 6, 6))
     pairs = np.zeros((count, 6, count, 6)) if count <= MOST_PAIRED else None
     for first in range(0, count, _PAIRED_AT_ONCE):

@@ -141,6 +141,12 @@ class WithReadout:
         more = self._variance * self._follows[:, :, None] * self._follows[:, None, :]
         return self._reduced.departure_covariance(covariance) + more
 
+    def following_covariance(self, covariance: Array, count: int) -> Array | None:
+        """As of `reduced`."""
+        found = self._reduced.following_covariance(covariance, count)
+        after, before = self._follows[1:count, :, None], self._follows[: count - 1, None]
+        return None if found is None else found + self._variance * after * before
+
     def form_covariance(self, covariance: Array, forms: Array) -> Array:
         """As of `reduced`."""
         along = self._variance * np.einsum("mak,ma->k", forms, self._follows)
