@@ -148,6 +148,18 @@ def test_tied_shots_and_the_covariance_of_every_image_equal_the_dense_inverse():
         to[:, k * size : (k + 1) * size] = unknowns.by_shot[k, slot]
         to[:, own:] = unknowns.by_global[k, slot]
         assert np.allclose(found[m], to @ inverse[: own + free, : own + free] @ to.T, rtol=1e-6, atol=1e-9)
+    # the first camera's images, each with the one before it
+    after = reduced.following_covariance(common, 5)
+    assert after is not None and unknowns.shot[:5].tolist() == [0, 1, 2, 3, 4]
+    for m in range(1, 5):
+        slot = slice(6 * unknowns.slot[m], 6 * unknowns.slot[m] + 6)
+        to, before = np.zeros((2, 6, own + free))
+        for rows, k in ((to, m), (before, m - 1)):
+            rows[:, k * size : (k + 1) * size] = unknowns.by_shot[k, slot]
+            rows[:, own:] = unknowns.by_global[k, slot]
+        expected = to @ inverse[: own + free, : own + free] @ before.T
+        assert np.allclose(after[m - 1], expected, rtol=1e-6, atol=1e-9)
+    assert reduced.following_covariance(common, 10) is None  # then come those of the other camera
     z = rng.standard_normal((5, size))
     assert np.allclose(unknowns.prior_times(z).ravel(), whole @ z.ravel())
 
