@@ -375,7 +375,7 @@ class PointsFirst:
     def following_covariance(self, covariance: Array, count: int) -> Array | None:
         """Covariance (count - 1, D, D) of the first `count` images but the first (rows) with those before.
 
-        `covariance` (G, G) is that of the globals. None where they are not of shots solved one after the other.
+        `covariance` (G, G) is that of the globals. None where their shots are not solved one after the other.
         """
         u = self._unknowns
         if (np.diff(u.shot[:count]) != 1).any():
