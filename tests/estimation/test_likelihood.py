@@ -10,7 +10,7 @@ from scipy.linalg import toeplitz
 
 from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
-from sightline.estimation.likelihood import default_step, fit_spectrum
+from sightline.estimation.likelihood import default_step, fit_spectrum, spread_of
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import gain_of_chance, mean_variance_about, mean_variance_unseen
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
@@ -408,6 +408,19 @@ def test_noise_gains_by_a_sinusoid_as_often_as_is_said(chance):
     share = (gains.max(axis=1) > gain_of_chance(0.5 * n, chance)).mean()
     # three sigmas of a binomial share, and 5 % for what lies between 8 frequencies per period
     assert abs(share - chance) < 3.0 * np.sqrt(chance / trials) + 0.05 * chance
+
+
+def test_long_lags_leave_fewer_frequencies_to_chance() -> None:
+    # 500 ms of images, lags of 100 ms and of 1 ms: what is midway lies within 400 and 499 ms
+    def pair(lag: int, sigma: float = 1.0) -> DifferenceSeries:
+        k = np.arange(500 - lag)
+        noise = np.full(len(k), sigma**2)
+        return DifferenceSeries(1e-3 * k, np.full(len(k), 1e-3 * lag), np.zeros(len(k)), noise)
+
+    assert spread_of([pair(100)]) == pytest.approx(0.4, rel=1e-4)
+    assert spread_of([pair(1)]) == pytest.approx(0.499, rel=1e-4)
+    # what weighs nothing says nothing
+    assert spread_of([pair(1, 1e3), pair(100)]) == pytest.approx(0.4, rel=1e-4)
 
 
 def test_a_sinusoid_beside_a_blind_frequency_is_owned_by_sigma() -> None:

@@ -205,6 +205,7 @@ def fit_spectrum(
         detail * unit**2,
         rate,
         min(s.window_most for s in scaled),
+        spread_of(scaled),
     )
     given = None if start is None else NoiseModel.of(start.scaled(1.0 / unit))
     if given is not None and near:
@@ -293,6 +294,15 @@ def _rates(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:
         if len(steps):
             rates.add(float(f"{1.0 / float(np.median(steps)):.6g}"))
     return tuple(sorted(rates))
+
+
+def spread_of(series: Sequence[DifferenceSeries]) -> float:
+    """Length (s) of data of even weights whose times scatter as those midway between the images' do."""
+    used = [one.used for one in series]
+    middle = np.concatenate([(one.t + 0.5 * one.lag)[u] for one, u in zip(series, used, strict=True)])
+    weight = np.concatenate([1.0 / one.variance[u] for one, u in zip(series, used, strict=True)])
+    mean = np.average(middle, weights=weight)
+    return math.sqrt(12.0 * float(np.average((middle - mean) ** 2, weights=weight)))
 
 
 def _tdi(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:

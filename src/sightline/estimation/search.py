@@ -192,6 +192,9 @@ class Search:
         Of the motion, per s; see `posterior`.
     window_most : float
         s; over which windows of coarse lines may average, 0 where `window` is what they do.
+    spread : float, optional
+        s; length of data of even weights whose times scatter as those of the differences, midway between the
+        two times of each: less than `length` where lags are long. What chance gains counts by it.
     """
 
     def __init__(
@@ -207,8 +210,10 @@ class Search:
         detail: float = 0.0,
         rate: EvenRate | None = None,
         window_most: float = 0.0,
+        spread: float | None = None,
     ) -> None:
         self._rate = rate
+        self._spread = length if spread is None else spread
         self._tdi = tuple(tdi)
         self._detail = detail
         self._corner = corner
@@ -224,6 +229,10 @@ class Search:
         self._length = length
         self._order = min(ORDER, equations.grid.count - 1)
         self._lags = equations.grid.step * np.arange(self._order + 1, dtype=np.float64)
+
+    def gain_of_chance(self, false_alarm: float) -> float:
+        """Log-likelihood that noise alone gains somewhere with that probability; see the function."""
+        return gain_of_chance(self._highest * self._spread, false_alarm)
 
     def use(self, equations: SeriesEquations) -> None:
         """Go on with other equations on the same grid."""
@@ -435,7 +444,7 @@ class Search:
         where = np.flatnonzero(peak & usable)
         where = where[np.argsort(-ratio[where])[:CANDIDATES]]
         gain, power, expected = self._exact_gain(now, u, frequency[where])
-        threshold = gain_of_chance(highest * self._length, false_alarm)
+        threshold = self.gain_of_chance(false_alarm)
         tones = []
         for k in np.argsort(-gain):
             if gain[k] > threshold:
@@ -581,7 +590,7 @@ class Search:
         now = self.posterior(model)
         u = now.score
         gains, _, expected = self._exact_gain(now, u, np.array([one.frequency for one in new]))
-        threshold = gain_of_chance(self._highest * self._length, false_alarm)
+        threshold = self.gain_of_chance(false_alarm)
         others = model
         for one, gained, information in zip(new, gains, expected, strict=True):
             mean = None if known else self._mean_tone(others, one, min(one.sigma, others.drift.sigma))
@@ -771,7 +780,7 @@ class Search:
         mixed = _combined(plain, exact, 1.0 / self._length)
         _, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information, doubt)
         strongest = int(np.argmax(np.where(mixed | ~within, -math.inf, likely)))
-        certain = gain[strongest] > gain_of_chance(top * self._length, HARDLY_CHANCE)
+        certain = gain[strongest] > gain_of_chance(top * self._spread, HARDLY_CHANCE)
         through: tuple[tuple[float, float], ...] = ()
         if within[strongest] and not mixed[strongest]:
             chance = 1.0 if certain else float(np.exp(-np.logaddexp(0.0, -likely[strongest])))
