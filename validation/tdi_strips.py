@@ -15,6 +15,7 @@ covariance of the result, over all axes and seeds.
 from __future__ import annotations
 
 import argparse
+from concurrent.futures import ProcessPoolExecutor
 
 import gates
 import numpy as np
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 LINES, COLUMNS = 1200, 320
 CASES = {"8": (8,), "16": (16,), "32": (32,), "16/32/16": (16, 32, 16)}
 TONE = 47.0
+#: Strips at a time.
+AT_ONCE = 2
 
 
 def strip(stages: tuple[int, ...], seed: int) -> StripScenario:
@@ -62,6 +65,18 @@ def tone_square(result: LineOfSight, truth: Array) -> float:
     return float(off @ np.linalg.solve(result.functional_covariance(weights), off))
 
 
+def recovered(name: str, seed: int) -> tuple[str, list[float], float]:
+    """The row of a strip, its NEES per axis, and its `tone_square`."""
+    scene = strip(CASES[name], seed)
+    result = recover_line_of_sight(scene.as_given(), Plane(0.0))
+    score = score_result(result, scene.truth[:, 0], scene.truth[:, 1:])
+    square = tone_square(result, scene.truth)
+    axes = " | ".join(f"{axis.rms:.4f} ({axis.nees:.2f})" for axis in score.axes.values())
+    kept = sum(p.kept for p in result.pairs)
+    row = f"| {name} | {seed} | {axes} | {kept} | {square:.1f} |"
+    return row, [axis.nees for axis in score.axes.values()], square
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -71,19 +86,19 @@ def main() -> None:
     print("| stages | seed | roll rms (NEES) | pitch | yaw | windows | chi-square of 47 Hz (6) |")
     print("|---|---|---|---|---|---|---|")
     squares: list[float] = []
-    for name in given.stages:
-        found = []
-        for seed in given.seeds:
-            scene = strip(CASES[name], seed)
-            result = recover_line_of_sight(scene.as_given(), Plane(0.0))
-            score = score_result(result, scene.truth[:, 0], scene.truth[:, 1:])
-            squares.append(tone_square(result, scene.truth))
-            found.append([axis.nees for axis in score.axes.values()])
-            axes = " | ".join(f"{axis.rms:.4f} ({axis.nees:.2f})" for axis in score.axes.values())
-            kept = sum(p.kept for p in result.pairs)
-            print(f"| {name} | {seed} | {axes} | {kept} | {squares[-1]:.1f} |", flush=True)
-        for axis, nees in zip(("roll", "pitch", "yaw"), np.mean(found, axis=0).tolist(), strict=True):
-            gates.check(f"{name} stages, {axis}: NEES over the seeds", nees, 0.8, 1.25)
+    with ProcessPoolExecutor(AT_ONCE) as workers:
+        jobs = [
+            (name, workers.submit(recovered, name, seed)) for name in given.stages for seed in given.seeds
+        ]
+        for name in given.stages:
+            found = []
+            for _, job in (one for one in jobs if one[0] == name):
+                row, nees, square = job.result()
+                print(row, flush=True)
+                found.append(nees)
+                squares.append(square)
+            for axis, mean in zip(("roll", "pitch", "yaw"), np.mean(found, axis=0).tolist(), strict=True):
+                gates.check(f"{name} stages, {axis}: NEES over the seeds", mean, 0.8, 1.25)
     samples = 6 * len(squares)
     low, high = chi2.ppf([0.025, 0.975], samples)
     gates.check(f"47 Hz: chi-square of {samples}", sum(squares), low, high)

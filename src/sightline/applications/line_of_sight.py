@@ -664,7 +664,7 @@ def _result(
     hidden = directions_at(strip.grid, on_grid, t)
     covariance = estimate.relative_covariance(t, hidden, strip.scale, turn)
     between = np.zeros((len(t), 3, 3))
-    for axis, spectrum in enumerate(state.model.spectra):
+    for axis, spectrum in enumerate(state.model.estimated().spectra):
         between[:, axis, axis] = variance_between_nodes(spectrum, strip.grid, t)
     model = with_blur_errors(strip, state)
     unseen = turn @ np.diag(model.unseen_variance) @ turn.T

@@ -12,9 +12,8 @@ from numpy.testing import assert_allclose
 from motion.strips import IFOV, plain_star
 from sightline.errors import EstimationError
 from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
-from sightline.geometry.surface import Plane
 from sightline.motion.strip import estimate as estimates
-from sightline.motion.strip import hyper
+from sightline.motion.strip import hidden, hyper
 from sightline.motion.strip.hyper import (
     BROAD,
     PriorModel,
@@ -398,8 +397,8 @@ def test_errors_of_a_given_density_are_owned_and_no_motion() -> None:
 
 
 def test_blur_that_is_taken_off_is_doubted_by_the_motion_that_it_would_be(monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    # blur that shifts windows as a pitch of 2 px at 40 Hz does: the motion would be that pitch; .15 of it,
-    # .212 px rms, is not known; of roll and yaw nothing
+    # blur that shifts windows as a pitch of 2 px at 40 Hz does: the motion would be that pitch; .05 of it,
+    # .07 px rms, is not known; of roll and yaw nothing
     star = plain_star(220, 8, 2, 1e-4)
     f, size = 40.0, 2.0 * IFOV
     motion = [size * np.sin(2.0 * np.pi * f * t)[..., None] for t in (star.t, star.t_hub[:, None])]
@@ -407,26 +406,84 @@ def test_blur_that_is_taken_off_is_doubted_by_the_motion_that_it_would_be(monkey
     estimate = estimate_of(star, still)
     orders = [GroundOrder()]
     monkeypatch.setattr(estimates, "_ground_orders", lambda strip, stars: orders)
-    strip = SimpleNamespace(
-        grid=estimate.grid, scale=np.full(3, IFOV), cameras=lambda *_: (), surface=Plane(0.0)
-    )
+    strip = SimpleNamespace(grid=estimate.grid, scale=np.full(3, IFOV))
     records = [SimpleNamespace(star=replace(star, blur_px=blur))]
-    again = {"share": 1.0}
-    monkeypatch.setattr(estimates, "blurred_by", lambda *_: again["share"] * blur)
     state = SimpleNamespace(records=records, estimate=estimate, slow=None, model=hyper.BROAD)
     model = estimates.with_blur_errors(strip, state)
     roll, pitch, yaw = np.sqrt(model.unseen_variance) / IFOV
-    assert pitch == pytest.approx(0.15 * 2.0 / np.sqrt(2.0), rel=0.1)
-    assert roll < 0.02 and yaw < 0.02
+    assert pitch == pytest.approx(0.05 * 2.0 / np.sqrt(2.0), rel=0.1)
+    assert roll < 0.007 and yaw < 0.007
     (part,) = model.products[1]
     near = np.abs(np.array(part.frequency) - f) < 5.0
     assert np.array(part.density)[near].sum() > 0.95 * np.sum(part.density)
-    # the motion found would displace them by 1.4 times as much: half of the difference is in doubt as well
-    again["share"] = 1.4
-    pitch = np.sqrt(estimates.with_blur_errors(strip, state).unseen_variance[1]) / IFOV
-    assert pitch == pytest.approx(np.hypot(0.15, 0.5 * 0.4) * 2.0 / np.sqrt(2.0), rel=0.1)
     without = [SimpleNamespace(star=star)]
     assert (
         estimates.with_blur_errors(strip, SimpleNamespace(**{**vars(state), "records": without}))
         == hyper.BROAD
     )
+
+
+def test_what_blur_shows_of_hidden_motion_is_estimated_and_no_error_of_its_own() -> None:
+    tone = Tone(2.0, 120.0, 5.0)
+    model = replace(hyper.BROAD, unseen=((tone,), (), ()), blur_shows=True)
+    assert model.estimated().spectra[0].components[-1] == tone
+    assert not model.unseen_variance.any()
+    assert replace(model, blur_shows=False).estimated().spectra == hyper.BROAD.spectra
+
+
+def hidden_estimate(nodes: np.ndarray, variance_of) -> SimpleNamespace:
+    """An estimate of `nodes` (count, 3) whose weighted sums err by `variance_of` them."""
+    grid = TimeGrid(0.0, STEP, len(nodes))
+
+    def functional_covariance(t, weights):
+        return variance_of(t, weights)
+
+    return SimpleNamespace(grid=grid, nodes=nodes, functional_covariance=functional_covariance)
+
+
+def test_a_hidden_tone_becomes_as_large_and_as_narrow_as_it_is_found() -> None:
+    # a sinusoid of 121 Hz and .1 px rms, known: the wide tone about 126 Hz shrinks onto it step by step
+    t = STEP * np.arange(600)
+    nodes = np.zeros((600, 3))
+    nodes[:, 1] = 0.1 * np.sqrt(2.0) * np.cos(2.0 * np.pi * 121.0 * t)
+    estimate = hidden_estimate(nodes, lambda t, w: np.zeros((w.shape[2],) * 2))
+    model = replace(hyper.BROAD, unseen=((), (Tone(0.2, 126.0, 8.0),), ()), blur_shows=True)
+    quiet = Spectrum((Matern(1.0, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
+    model = replace(model, spectra=(quiet,) * 3)
+    widths = []
+    for _ in range(4):
+        model = hidden.learned(model, estimate, (0.0, 0.6))
+        widths.append(model.unseen[1][0].bandwidth)
+    (tone,) = model.unseen[1]
+    # a Lorentzian has some of its power beyond where it is looked at: a tenth
+    assert tone.sigma == pytest.approx(0.1, rel=0.1)
+    assert tone.frequency == pytest.approx(121.0, abs=0.3)
+    assert np.all(np.diff(widths) < 0.0) and widths[-1] < 2.0
+
+
+def test_a_hidden_tone_of_which_nothing_is_seen_stays_as_it_was() -> None:
+    # nothing found, and an error as large as all that is expected
+    tone = Tone(0.2, 126.0, 8.0)
+    quiet = Spectrum((Matern(1e-3, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
+    model = PriorModel((quiet,) * 3, unseen=((tone,), (), ()), blur_shows=True)
+
+    def variance_of(t, weights):
+        return replace(model, blur_shows=False).unseen_functionals(t, weights)
+
+    estimate = hidden_estimate(np.zeros((600, 3)), variance_of)
+    (after,) = hidden.learned(model, estimate, (0.0, 0.6)).unseen[0]
+    assert_allclose((after.sigma, after.frequency, after.bandwidth), (0.2, 126.0, 8.0), rtol=0.02)
+
+
+def test_only_motion_that_stages_leave_much_of_is_plainly_seen() -> None:
+    # 16 stages of .5 ms leave .75 of 50 Hz, .13 of 110 Hz, and nothing of 125 Hz; where tones
+    # are cut off at the ends they ring, beyond 50 nodes by less than a twentieth
+    camera = SimpleNamespace(stages=np.array([16]), detector=SimpleNamespace(line_period=5e-4))
+    strip = SimpleNamespace(nominal=[camera], grid=TimeGrid(0.0, STEP, 600))
+    t = strip.grid.nodes[:, None]
+    slow = 2.0 * t + np.sin(2.0 * np.pi * 50.0 * t)
+    fast = np.sin(2.0 * np.pi * 110.0 * t) + np.sin(2.0 * np.pi * 125.0 * t)
+    kept = estimates.plainly_seen(strip, np.repeat(slow + fast, 3, axis=1))
+    assert np.abs(kept - slow)[50:-50].max() < 0.05
+    without = SimpleNamespace(nominal=[SimpleNamespace(stages=None)], grid=strip.grid)
+    assert_allclose(estimates.plainly_seen(without, slow), slow)

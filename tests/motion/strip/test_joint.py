@@ -30,6 +30,7 @@ from sightline.motion.strip.normal_equations import (
     GroundOrder,
     TimeGrid,
     modelled,
+    modelled_by_blur,
     normal_equations,
     ordered_ground,
 )
@@ -524,6 +525,40 @@ def test_the_information_of_stretched_rows_is_that_of_what_they_read(relief: boo
     along, across = data.times(nodes.ravel())
     found = nodes.ravel() @ along + 2.0 * statics @ across + statics @ data.corner @ statics
     np.testing.assert_allclose(found, want, rtol=1e-6)
+
+
+@pytest.mark.parametrize("stretch", [0.0, 0.02])
+def test_stages_that_count_unevenly_add_what_they_say_of_instants_beside_the_middle(stretch: float) -> None:
+    # one row by hand: what is added is the motion at instants beside those of hub and partner
+    rng = np.random.default_rng(3)
+    star = replace(small_star(6, duration=0.03), stretch=stretch)
+    size, at = star.t.shape, 0.004 * np.arange(-2.0, 3.0)
+    uneven = rng.standard_normal((*size, 2, 2, 3, len(at))).astype(np.float32)
+    tdi = (np.full(len(star.t), 0.01), np.full(size, 0.01))
+    star = replace(star, tdi_hub=tdi[0], tdi=tdi[1])
+    with_weights = replace(star, uneven=uneven, uneven_at=at)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    nodes, statics = rng.standard_normal((COUNT, 3)), rng.standard_normal(2)
+    read = modelled(with_weights, grid, nodes, statics)
+    more = read - modelled(star, grid, nodes, statics)
+    assert_close = np.testing.assert_allclose
+    assert_close(modelled_by_blur(with_weights, grid, nodes), more, atol=1e-12)
+    for g, k in ((7, 0), (60, 1), (101, 1)):
+        want = np.zeros(2)
+        for side, t in enumerate((star.t_hub[g], star.t[g, k])):
+            moved = np.array([lagrange(t + o) @ nodes for o in at])
+            want += np.einsum("cab,ba->c", uneven[g, k, side].astype(float), moved)
+        assert_close(more[g, k], want, rtol=1e-9)
+    # and the rows' information is that of what they read
+    data = normal_equations([with_weights], [star.residual_px], grid, orders=[GroundOrder()])
+    _, _, noise = dense_rows(star, relief=False)
+    seen = read[np.isfinite(star.residual_px)]
+    along, across = data.times(nodes.ravel())
+    found = nodes.ravel() @ along + 2.0 * statics @ across + statics @ data.corner @ statics
+    assert_close(found, seen @ np.linalg.solve(noise, seen), rtol=1e-6)
+    measured = star.residual_px[np.isfinite(star.residual_px)]
+    right = nodes.ravel() @ data.rhs + statics @ data.rhs_static
+    assert_close(right, seen @ np.linalg.solve(noise, measured), rtol=1e-6)
 
 
 def test_the_motion_moves_by_what_more_in_the_measurements_moves_it() -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from motion.strips import plain_star
 from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.motion.strip.normal_equations import TimeGrid, modelled
 from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
     turned_band,
     turned_directions,
     turned_spectra,
+    turned_star,
 )
 
 TURN = Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix()
@@ -32,6 +37,18 @@ def test_a_banded_covariance_turns_block_by_block():
         for column in range(row + 1):
             if row // 3 - column // 3 < width:
                 assert_allclose(turned[row - column, column], expected[row, column], rtol=1e-10)
+
+
+def test_a_turned_star_reads_of_the_turned_motion_what_it_read():
+    star = plain_star(20, 2, 2)
+    uneven = RNG.normal(size=(*star.t.shape, 2, 2, 3, 3)).astype(np.float32)
+    star = replace(star, uneven=1e5 * uneven, uneven_at=1e-3 * np.arange(-1.0, 2.0))
+    grid = TimeGrid(0.0, 1e-3, 400)
+    nodes = 1e-5 * RNG.normal(size=(400, 3))
+    expected = modelled(star, grid, nodes, np.zeros(0))
+    # sensitivities are float32
+    found = modelled(turned_star(star, TURN), grid, nodes @ TURN.T, np.zeros(0))
+    assert_allclose(found, expected, atol=1e-5)
 
 
 def test_hidden_directions_are_again_one_per_axis():

@@ -142,8 +142,12 @@ def test_rows_read_what_the_estimate_models_and_their_variance_is_that_of_the_de
     strip, options, state, _ = solved
     star = compared(strip, state, options, (0, 2), 40).star
     which = np.flatnonzero(star.present[:, 0])
-    rows, statics = window_rows(star, strip.grid, 3, GroundOrder(), which)
     rng = np.random.default_rng(0)
+    # as of TDI: instants beside those of the windows count more or less
+    uneven = 0.1 * rng.standard_normal((*star.t.shape, 2, 2, 3, 3)).astype(np.float32)
+    uneven *= np.nanmax(np.abs(star.by_hub))
+    star = replace(star, uneven=uneven, uneven_at=1e-3 * np.arange(-1.0, 2.0))
+    rows, statics = window_rows(star, strip.grid, 3, GroundOrder(), which)
     nodes = 1e-5 * rng.standard_normal((strip.grid.count, 3))
     values = rng.standard_normal(len(strip.parameters))
     expected = modelled(star, strip.grid, nodes, values)[which, 0].ravel()

@@ -70,6 +70,9 @@ class Star:
         Size of the windows, px.
     blur_px : (G, K, 2), optional
         px; what was taken off `residual_px` for jitter within the stages of TDI; None: no band has TDI.
+    uneven : (G, K, 2, 2, 3, B) float32, optional
+        px/rad; how that changes with the attitude of hub and partner `uneven_at` (B,) s beside their
+        instants: what stages show of the motion is no even mean of it where other motion blurs them.
     """
 
     hub: int
@@ -96,6 +99,8 @@ class Star:
     tdi_hub: Array | None = None
     tdi: Array | None = None
     blur_px: Array | None = None
+    uneven: NDArray[np.float32] | None = None
+    uneven_at: Array | None = None
 
     @property
     def longest(self) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -55,6 +55,8 @@ from sightline.motion.measure.windows import (
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+#: Parts of the time that TDI averages over for which matches say how they change with the motion.
+TDI_PARTS = 16
 #: A row that lost more than this share of its windows is tried again: the estimate may have been wrong.
 MOST_WRONG = 0.4
 #: Columns that a tile for whitening leaves free on both sides in a narrow view: where it is searched for.
@@ -186,11 +188,13 @@ class _Moves:
 class _Measured:
     """What one partner says: residual (G, 2) px, its covariance (G, 2, 2), status and score (G,).
 
-    `blur` (G, 2) px is what was taken off for jitter within the stages of TDI.
+    `blur` (G, 2) px is what was taken off for jitter within the stages of TDI, `uneven` (G, 2, 2, 3, B)
+    px/rad how it changes (`Star.uneven`).
     """
 
     residual: Array
     blur: Array
+    uneven: NDArray[np.float32] | None
     covariance: Array
     status: NDArray[np.uint8]
     score: Array
@@ -229,6 +233,10 @@ def match_star(
     # written as they come: of a long strip what all pairs say is large, and would be held twice
     residual, covariance = np.empty((g, k, 2)), np.empty((g, k, 2, 2))
     blur = None if tdi is None else np.empty((g, k, 2))
+    offsets = None
+    if tdi_hub is not None and tdi is not None and not strips.searched:
+        offsets = _offsets(camera, grid, max(float(tdi_hub.max()), float(np.nanmax(tdi))))
+    uneven = None if offsets is None else np.zeros((g, k, 2, 2, 3, len(offsets)), dtype=np.float32)
     status, score = np.empty((g, k), dtype=np.uint8), np.empty((g, k))
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(found):
@@ -237,11 +245,13 @@ def match_star(
             step(j * g + done * g // total, k * g)
 
         points = np.where((partner.seen & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
-        one = _measured(strips, partner, points, blocks)
+        one = _measured(strips, partner, points, offsets, blocks)
         residual[:, j], covariance[:, j], score[:, j] = one.residual, one.covariance, one.score
         status[:, j] = np.where(partner.seen & ~chosen, np.uint8(NOT_CHOSEN), one.status)
         if blur is not None:
             blur[:, j] = one.blur
+        if uneven is not None and one.uneven is not None:
+            uneven[:, j] = one.uneven
     duration, stretch = _duration(camera, grid, exposed=strips.coarse)
     star = Star(
         hub=hub,
@@ -258,6 +268,8 @@ def match_star(
         fineness=fineness(cameras, hub, partners),
         residual_px=residual,
         blur_px=blur,
+        uneven=uneven,
+        uneven_at=offsets,
         covariance_px=covariance,
         by_hub=moves.by_hub,
         by_partner=moves.by_partner,
@@ -330,7 +342,9 @@ def _whitening(strips: _Strips, laid: ImageSource, points: Array) -> Whitening |
     return pair_whitening(image, laid, points, most_tiles=TILES)
 
 
-def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> _Measured:
+def _measured(
+    strips: _Strips, partner: _Partner, points: Array, offsets: Array | None, step: Step
+) -> _Measured:
     """Windows of the hub, `points` (G, 2) or NaN, found in one partner: measured less predicted.
 
     What is found is in pixels of the hub, on whose grid the partner lies; the map's change takes it into the
@@ -367,9 +381,9 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
         fold = matched(laid, own=own)
         folded, unknown = folding(shift, fold.b[good] - fold.a[good], fold.kept[good], grid.centres[good, 0])
         shift, uncertain = shift - folded, uncertain + unknown
-    blurred = np.zeros(shift.shape)
+    blurred, changes = np.zeros(shift.shape), None
     if not strips.searched:
-        blurred = displacement(
+        blurred, changes = displacement(
             cameras,
             (hub, partner.image),
             (grid.centres[good], predicted.b[good]),
@@ -378,11 +392,17 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
             predicted.affine[good],
             partner.whitening,
             grid.window[0],
+            offsets=offsets,
         )
     residual, covariance = np.full((len(good), 2), np.nan), np.tile(np.eye(2), (len(good), 1, 1))
     blur = np.zeros((len(good), 2))
     blur[good] = np.einsum("nij,nj->ni", turn, blurred)
     residual[good] = np.einsum("nij,nj->ni", turn, shift) - blur[good]
+    uneven = None
+    if offsets is not None:
+        uneven = np.zeros((len(good), 2, 2, 3, len(offsets)), dtype=np.float32)
+        if changes is not None:
+            uneven[good] = np.einsum("nij,nsjab->nsiab", turn, changes)
     covariance[good] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
     if plan.weighting != "covariance" and good.any():
         mean = 0.5 * np.einsum("nii->n", covariance[good]).mean()
@@ -391,7 +411,7 @@ def _measured(strips: _Strips, partner: _Partner, points: Array, step: Step) -> 
     # a window lies in the image up to half a pixel beyond its rim
     beyond = ~within(predicted.b, strips.images[partner.image].shape, np.array(partner.size) / 2.0 - 1.0)
     status = np.where(beyond & (matches.status == MASKED), np.uint8(OUTSIDE), matches.status)
-    return _Measured(residual, blur, covariance, status, matches.score)
+    return _Measured(residual, blur, uneven, covariance, status, matches.score)
 
 
 def _both_ways(
@@ -433,20 +453,25 @@ def _same_windows(before: StarRecord, hub: int, grid: WindowGrid) -> bool:
     return before.star.hub == hub and np.array_equal(before.star.pixels, grid.centres)
 
 
-def blurred_by(record: StarRecord, cameras: Sequence[MovingCamera], surface: Surface) -> Array:
-    """(G, K, 2) px of the partners by which `cameras` have matches displaced for jitter within the stages.
+def blurred_by(record: StarRecord, cameras: Sequence[MovingCamera], surface: Surface) -> Star:
+    """The star with what `cameras` have matches displaced by within the stages of TDI, and how it changes.
 
-    By all of their motion, and the geometry of like pixels.
+    In the geometry of like pixels. Residuals are those of the star, less what it had of that before.
     """
     star = record.star
+    if star.blur_px is None or star.uneven_at is None:
+        return star
     assert star.window is not None
     lines = star.pixels[:: star.shape[1], 0]
     grid = WindowGrid(star.window, lines, star.pixels[: star.shape[1], 1])
-    out = np.zeros(star.residual_px.shape)
+    blur, uneven = (
+        np.zeros(star.residual_px.shape),
+        np.zeros((*star.t.shape, 2, 2, 3, len(star.uneven_at)), np.float32),
+    )
     predicted = predict_windows(cameras, star.hub, star.images, surface, grid)
     for k, (partner, found) in enumerate(zip(star.images, predicted, strict=True)):
         good = np.isfinite(star.residual_px[:, k, 0])
-        shift = displacement(
+        shift, changes = displacement(
             cameras,
             (star.hub, partner),
             (star.pixels[good], found.b[good]),
@@ -455,10 +480,13 @@ def blurred_by(record: StarRecord, cameras: Sequence[MovingCamera], surface: Sur
             found.affine[good],
             record.filters[k] if record.filters else None,
             star.window[0],
-            whole=True,
+            offsets=star.uneven_at,
         )
-        out[good, k] = np.einsum("nij,nj->ni", found.affine[good], shift)
-    return out
+        blur[good, k] = np.einsum("nij,nj->ni", found.affine[good], shift)
+        if changes is not None:
+            uneven[good, k] = np.einsum("nij,nsjab->nsiab", found.affine[good], changes)
+    residual = star.residual_px + star.blur_px - blur
+    return replace(star, residual_px=residual, blur_px=blur, uneven=uneven)
 
 
 def _brightness(before: StarRecord | None, image: ImageSource, hub: int, grid: WindowGrid) -> Array:
@@ -498,6 +526,15 @@ def _tdi(
         return None, None
     there = [times(image, p.b) for image, p in zip(partners, predicted, strict=True)]
     return times(hub, grid.centres), np.stack(there, axis=1)
+
+
+def _offsets(camera: MovingCamera, grid: WindowGrid, tdi: float) -> Array:
+    """(B,) s beside the middle of an exposure: over stages of `tdi` s, the window's lines and one beside."""
+    assert isinstance(camera, PushbroomCamera)
+    period = camera.detector.line_period
+    step = max(tdi / TDI_PARTS, period)
+    half = math.ceil((0.5 * (tdi + grid.window[0] * period) + period) / step)
+    return step * np.arange(-half, half + 1.0)
 
 
 def _duration(camera: MovingCamera, grid: WindowGrid, *, exposed: bool) -> tuple[float, float]:

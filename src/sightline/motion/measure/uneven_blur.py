@@ -42,12 +42,12 @@ Array = NDArray[np.float64]
 _EVERY, _HIGHEST = 4, 0.45
 #: A frequency weighs at most as one of this coherence.
 _MOST = 0.999
-#: Motion of which stages leave the second share is taken whole, of what they leave less of less, down to
-#: nothing at the first: blur shows as much of such motion as its mean does, and what a pass found too large
-#: the next would find as much too small. Shorter motions are taken as they are.
-_NONE, _WHOLE, _FEWEST = 0.2, 0.3, 16
 #: Steps to the shift that fits: beside a motion of half a pixel the first is a fifth too short.
-ROUNDS = 3
+ROUNDS = 30
+#: Steps (px) of less are none.
+CLOSE = 1e-5
+#: A fit bends, where it is, at least by this share of what it may bend at most: less is not near its top.
+STEEP = 0.2
 #: Windows that one thread takes at a time.
 _AT_ONCE = 1024
 #: Lines of a window that stand for all of it, in halves of its height from its middle, and their shares.
@@ -70,9 +70,12 @@ def displacement(
     whitening: Whitening | None,
     lines: float = 1.0,
     *,
-    whole: bool = False,
-) -> Array:
-    """(G, 2) px of the hub by which matches of a partner lie beyond where the mean motion has them.
+    offsets: Array | None = None,
+) -> tuple[Array, NDArray[np.float32] | None]:
+    """How far matches of a partner lie beyond where the mean motion has them, and how that changes with it.
+
+    The first, (G, 2) px of the hub; the second, (G, 2, 2, 3, B) px/rad, by the attitude of hub and of partner
+    at each of the `offsets`, None without any.
 
     Parameters
     ----------
@@ -90,8 +93,8 @@ def displacement(
         Says how much each frequency counts; nothing is known without its coherence.
     lines : float
         Of the hub, that a window is high.
-    whole : bool
-        Whether the motion counts as it is, what the stages average away included.
+    offsets : (B,), optional
+        s; beside the middle of an exposure, evenly spaced.
 
     Notes
     -----
@@ -103,47 +106,31 @@ def displacement(
     coherence = None if whitening is None else whitening.coherence
     tdi = [isinstance(c, PushbroomCamera) and c.stages is not None for c in (cameras[k] for k in pair)]
     if whitening is None or coherence is None or not any(tdi) or cameras[pair[0]].trajectory.motion is None:
-        return out
+        return out, None
     weights = _weights(coherence, whitening)
-    motions = [_motion(cameras[image], whole) for image in pair]
+    motions = [one for one in (cameras[image].trajectory.motion for image in pair) if one is not None]
     seen = np.flatnonzero(np.isfinite(t[0]) & np.isfinite(t[1]) & np.isfinite(pixels[1]).all(axis=1))
     if not len(seen):
-        return out
+        return out, None
     windows = _Windows(cameras, pair, pixels, t, by, affine, motions, lines, weights)
     sample = seen[np.unique(np.linspace(0, len(seen) - 1, _SAMPLE).astype(int))]
-    left = np.maximum(np.hypot(*windows.shown(sample)).mean(axis=0), _LEAST)
+    left = np.maximum(np.hypot(*windows.shown(windows.sides(sample))).mean(axis=0), _LEAST)
     weight, frequency = weights.weight / np.sqrt(left * weights.mirrored(left)), weights.frequency
 
-    def values(first: int) -> Array:
+    changes = None if offsets is None else np.zeros((len(out), 2, 2, 3, len(offsets)), dtype=np.float32)
+
+    def values(first: int) -> None:
         which = seen[first : first + _AT_ONCE]
         shift = np.zeros((len(which), 2))
-        _shifts(*windows.shown(which), frequency, weight, shift)
-        return shift
+        sides = windows.sides(which)
+        shown = windows.shown(sides)
+        _shifts(*shown, frequency, weight, shift)
+        out[which] = shift
+        if changes is not None and offsets is not None:
+            changes[which] = windows.changes(which, sides, shown, shift, weight, offsets)
 
-    begins = range(0, len(seen), _AT_ONCE)
-    for first, part in zip(begins, in_threads(values, begins), strict=True):
-        out[seen[first : first + _AT_ONCE]] = part
-    return out
-
-
-def _motion(camera: MovingCamera, whole: bool) -> Motion:
-    """The motion of a camera, unless `whole` less what its stages average away: that is hardly known."""
-    motion = camera.trajectory.motion
-    assert motion is not None
-    assert isinstance(camera, PushbroomCamera)
-    if whole or camera.stages is None or len(motion.t) < _FEWEST:
-        return motion
-    step = float(np.median(np.diff(motion.t)))
-    t = np.arange(motion.t[0], motion.t[-1], step)
-    angles = motion.at(t)
-    # what is left between the ends of a line through both has no jump where it is continued
-    line = angles[0] + (angles[-1] - angles[0]) * np.linspace(0.0, 1.0, len(t))[:, None]
-    rest = np.concatenate([angles - line, -(angles - line)[::-1]])
-    frequency = np.fft.rfftfreq(len(rest), step)
-    left = np.abs(np.sinc(frequency * float(np.min(camera.stages)) * camera.detector.line_period))
-    share = np.clip((left - _NONE) / (_WHOLE - _NONE), 0.0, 1.0)
-    kept = np.fft.irfft(np.fft.rfft(rest, axis=0) * share[:, None], len(rest), axis=0)
-    return Motion(t, line + kept[: len(t)])
+    in_threads(values, range(0, len(seen), _AT_ONCE))
+    return out, changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,12 +205,56 @@ class _Windows:
     lines: float
     weights: _Weights
 
-    def shown(self, which: NDArray[np.intp]) -> tuple[Array, Array]:
+    def sides(self, which: NDArray[np.intp]) -> list[Array | NDArray[np.int64]]:
+        """Stages of hub and partner, as `_stages` gives them."""
+        return [value for side in range(2) for value in self._stages(side, which)]
+
+    def shown(self, sides: Sequence[Array | NDArray[np.int64]]) -> tuple[Array, Array]:
         """What windows show of each frequency in the product of both images: (N, Q) real and imaginary."""
-        re, im = np.empty((2, len(which), len(self.weights.weight)))
-        sides = [value for side in range(2) for value in self._stages(side, which)]
+        re, im = np.empty((2, len(sides[0]) // len(_SHARES), len(self.weights.weight)))
         _phase_factors(*sides, self.weights.y, self.weights.x, self.weights.slopes, 0.5 * _SHARES, re, im)
         return re, im
+
+    def changes(
+        self,
+        which: NDArray[np.intp],
+        sides: Sequence[Array | NDArray[np.int64]],
+        shown: tuple[Array, Array],
+        shift: Array,
+        weight: Array,
+        offsets: Array,
+    ) -> NDArray[np.float32]:
+        """(N, 2, 2, 3, B) px of the hub per rad: of the `shift` (N, 2) that fits what is `shown`."""
+        hub = self.cameras[self.pair[0]].detector
+        assert isinstance(hub, LineDetector)
+        moves = [self._moves(side, which) for side in range(2)]
+        places = 0.5 * self.lines * hub.line_period * _PLACES
+        out = np.zeros((len(which), 2, 2, 3, len(offsets)), dtype=np.float32)
+        _changes(
+            *sides, self.weights.y, self.weights.x,
+            self.weights.slopes, 0.5 * _SHARES, places, *shown, shift, self.weights.frequency, weight,
+            *[value for move in moves for value in move], hub.line_period, offsets[0],
+            offsets[1] - offsets[0], out,
+        )  # fmt: skip
+        return out
+
+    def _moves(self, side: int, which: NDArray[np.intp]) -> tuple[Array, Array, Array, Array]:
+        """How an angle moves what an image shows: (N, 2, 3) px of the hub per rad, and more of late stages.
+
+        (N, 2, 3) px/rad for each line that a stage is late, and the lines (N, S) that stages are late; the
+        time (N,) of these in s.
+        """
+        camera = self.cameras[self.pair[side]]
+        assert isinstance(camera, PushbroomCamera)
+        whole = camera.stages_of(self.pixels[side][which]).astype(np.int64)
+        counts = np.minimum(whole, _STAGES)
+        stage = np.arange(int(counts.max()))
+        late = ((np.minimum(stage, counts[:, None] - 1) + 0.5) / counts[:, None] - 0.5) * whole[:, None]
+        into_hub = np.linalg.inv(self.affine[which])
+        turn = (-1.0 if side == 0 else 1.0) * into_hub @ self.by[side][which].astype(np.float64)
+        across = into_hub[:, :, 1] if side else np.tile([0.0, 1.0], (len(which), 1))
+        skew = -across[:, :, None] * _line_of_sight(camera)
+        return np.asarray(turn), np.asarray(skew), np.asarray(late), late * camera.detector.line_period
 
     def _stages(self, side: int, which: NDArray[np.intp]) -> tuple[Array, NDArray[np.int64]]:
         """Where stages lie beside their mean, (N lines, S, 3, 2) px of the hub, and how many (N lines,).
@@ -233,24 +264,18 @@ class _Windows:
         hub, camera = self.cameras[self.pair[0]].detector, self.cameras[self.pair[side]]
         assert isinstance(hub, LineDetector)
         assert isinstance(camera, PushbroomCamera)
-        whole = camera.stages_of(self.pixels[side][which]).astype(np.int64)
-        counts = np.minimum(whole, _STAGES)
-        stage = np.arange(int(counts.max()))
-        late = ((np.minimum(stage, counts[:, None] - 1) + 0.5) / counts[:, None] - 0.5) * whole[:, None]
-        instants = self.t[side][which][:, None] + late * camera.detector.line_period
+        turn, skew, late, seconds = self._moves(side, which)
+        counts = np.minimum(camera.stages_of(self.pixels[side][which]).astype(np.int64), _STAGES)
+        stage = np.arange(late.shape[1])
+        instants = self.t[side][which][:, None] + seconds
         instants = instants[:, None] + (0.5 * self.lines * hub.line_period * _PLACES)[:, None]
-        into_hub = np.linalg.inv(self.affine[which])
-        # the hub shows what lies the other way
-        turn = (-1.0 if side == 0 else 1.0) * into_hub @ self.by[side][which].astype(np.float64)
-        across = into_hub[:, :, 1] if side else np.tile([0.0, 1.0], (len(which), 1))
-        skew = across[:, None] * -late[:, :, None]
         used = (stage < counts[:, None])[:, None, :, None]
-        sight, motion, out = _line_of_sight(camera), self.motions[side], []
+        moves = turn[:, None] + skew[:, None] * late[:, :, None, None]
+        motion, out = self.motions[side], []
         for beside in (0.0, -hub.line_period, hub.line_period):
             angles = motion.at(np.clip(instants + beside, *motion.span).ravel())
-            about_sight = (angles @ sight).reshape(instants.shape)
-            moved = np.einsum("nca,npka->npkc", turn, angles.reshape(*instants.shape, 3))
-            moved += skew[:, None] * about_sight[..., None]
+            angles = angles.reshape(*instants.shape, 1, 3)
+            moved = sum(moves[:, None, ..., axis] * angles[..., axis] for axis in range(3))
             out.append(moved - (moved * used).sum(axis=2, keepdims=True) / counts[:, None, None, None])
         at, before, after = (one.reshape(-1, len(stage), 2) for one in out)
         places = np.stack([at, 0.5 * (after - before), after + before - 2.0 * at], axis=2)
@@ -324,21 +349,174 @@ def _phase_factors(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _shifts(re, im, frequency, weight, out):  # type: ignore[no-untyped-def]
-    """Shift that fits phase factors (N, Q) best, into `out` (N, 2)."""
+    """Shift that fits phase factors (N, Q) best, into `out` (N, 2): the nearest top uphill of none.
+
+    Steps by the bend there may be at most never lead downhill; those by the bend there is are quicker, and
+    are taken back where they do.
+    """
     for n in range(len(out)):
+        height, safe_y, safe_x = -math.inf, 0.0, 0.0
         for _ in range(ROUNDS):
             a11, a12, a22, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0
+            c11, c12, c22, here = 0.0, 0.0, 0.0, 0.0
             for k in range(len(weight)):
                 y, x = frequency[k, 0], frequency[k, 1]
                 phase = y * out[n, 0] + x * out[n, 1]
-                left = weight[k] * (im[n, k] * math.cos(phase) - re[n, k] * math.sin(phase))
-                w = weight[k] * math.hypot(re[n, k], im[n, k])
-                a11 += w * y * y
-                a12 += w * y * x
-                a22 += w * x * x
+                cosine, sine = math.cos(phase), math.sin(phase)
+                left = weight[k] * (im[n, k] * cosine - re[n, k] * sine)
+                most = weight[k] * math.hypot(re[n, k], im[n, k])
+                bend = weight[k] * (re[n, k] * cosine + im[n, k] * sine)
+                a11 += most * y * y
+                a12 += most * y * x
+                a22 += most * x * x
+                c11 += bend * y * y
+                c12 += bend * y * x
+                c22 += bend * x * x
                 b1 += left * y
                 b2 += left * x
+                here += bend
+            if here < height:
+                out[n, 0], out[n, 1], height = safe_y, safe_x, -math.inf
+                continue
             det = a11 * a22 - a12 * a12
-            if det > 0.0:
-                out[n, 0] += (a22 * b1 - a12 * b2) / det
-                out[n, 1] += (a11 * b2 - a12 * b1) / det
+            if not det > 0.0:
+                break
+            by, bx = (a22 * b1 - a12 * b2) / det, (a11 * b2 - a12 * b1) / det
+            height, safe_y, safe_x = here, out[n, 0] + by, out[n, 1] + bx
+            det = c11 * c22 - c12 * c12
+            if c11 > STEEP * a11 and c22 > STEEP * a22 and det > 0.0:
+                by, bx = (c22 * b1 - c12 * b2) / det, (c11 * b2 - c12 * b1) / det
+            out[n, 0] += by
+            out[n, 1] += bx
+            if math.hypot(by, bx) < CLOSE:
+                break
+
+
+@njit(cache=True, nogil=True)
+def _slopes_of_stages(moved, count, y, x, slopes, pull, by_y, by_x, out):  # type: ignore[no-untyped-def]
+    """How what pulls at a shift changes with each stage's place, its change and that one's change: `out`.
+
+    `out` (S, 3, 3): of y y, y x, x x. `pull` (Q,) is by what a phase factor of the image pulls.
+    """
+    for s in range(count):
+        for m in range(3):
+            for n in range(3):
+                out[s, m, n] = 0.0
+        _powers(y[1] * moved[s, 0, 0], by_y)
+        _powers(x[1] * moved[s, 0, 1], by_x)
+        for j in range(len(y)):
+            of_y = by_y[j] if j < len(by_y) else by_y[len(y) - j].conjugate()
+            rate_y, bend_y = y[j] * moved[s, 1, 0], y[j] * moved[s, 2, 0]
+            # sums over the frequencies across: of none, of one, of two of them
+            v0, v1, v2, r0, r1, r2, c0, c1, c2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(len(x)):
+                k = j * len(x) + i
+                rate = rate_y + x[i] * moved[s, 1, 1]
+                bend = bend_y + x[i] * moved[s, 2, 1]
+                first, second = slopes[k, 0], slopes[k, 1]
+                factor = of_y * by_x[i] * pull[k]
+                re, im = factor.real, factor.imag
+                v = re * (1.0 + 0.5 * second * rate * rate) - im * (first * rate - 0.5 * second * bend)
+                r = first * re + second * rate * im
+                c = -0.5 * second * re
+                v0 += v
+                v1 += v * x[i]
+                v2 += v * x[i] * x[i]
+                r0 += r
+                r1 += r * x[i]
+                r2 += r * x[i] * x[i]
+                c0 += c
+                c1 += c * x[i]
+                c2 += c * x[i] * x[i]
+            out[s, 0, 0] += v0 * y[j] * y[j]
+            out[s, 0, 1] += v1 * y[j]
+            out[s, 0, 2] += v2
+            out[s, 1, 0] += r0 * y[j] * y[j]
+            out[s, 1, 1] += r1 * y[j]
+            out[s, 1, 2] += r2
+            out[s, 2, 0] += c0 * y[j] * y[j]
+            out[s, 2, 1] += c1 * y[j]
+            out[s, 2, 2] += c2
+
+
+@njit(cache=True, nogil=True)
+def _changes(  # type: ignore[no-untyped-def]
+    hub, hub_counts, partner, partner_counts, y, x, slopes, shares, places, re, im, shift, frequency, weight,
+    hub_turn, hub_skew, hub_late, hub_seconds, turn, skew, late, seconds, period, first, step, out,
+):  # fmt: skip
+    """How shifts that fit phase factors change with the angles of hub and partner, into `out`."""
+    q = re.shape[1]
+    by_y, by_x = np.empty(len(y) // 2 + 1, np.complex128), np.empty(len(x), np.complex128)
+    of_hub, of_partner = np.empty((3, q), np.complex128), np.empty((3, q), np.complex128)
+    other = np.empty(q, np.complex128)
+    stages = np.empty((max(hub.shape[1], partner.shape[1]), 3, 3))
+    coefficients = np.empty((stages.shape[0], 3, 3))
+    bins = out.shape[4]
+    for n in range(len(re)):
+        a11, a12, a22 = 0.0, 0.0, 0.0
+        for k in range(q):
+            fy, fx = frequency[k, 0], frequency[k, 1]
+            phase = fy * shift[n, 0] + fx * shift[n, 1]
+            w = weight[k] * (re[n, k] * math.cos(phase) + im[n, k] * math.sin(phase))
+            a11 += w * fy * fy
+            a12 += w * fy * fx
+            a22 += w * fx * fx
+        det = a11 * a22 - a12 * a12
+        if not det > 0.0:
+            continue
+        for p in range(len(shares)):
+            m = n * len(shares) + p
+            _shown(hub[m], hub_counts[m], y, x, slopes[0], by_y, by_x, of_hub)
+            _shown(partner[m], partner_counts[m], y, x, slopes[1], by_y, by_x, of_partner)
+            for side in range(2):
+                for k in range(q):
+                    phase = frequency[k, 0] * shift[n, 0] + frequency[k, 1] * shift[n, 1]
+                    back = complex(math.cos(phase), -math.sin(phase)) * weight[k]
+                    # of the hub the conjugate is what shows, and what pulls the other way
+                    if side == 0:
+                        other[k] = -(back * of_partner[0, k]).conjugate()
+                    else:
+                        other[k] = back * of_hub[0, k].conjugate()
+                moved = hub[m] if side == 0 else partner[m]
+                count = hub_counts[m] if side == 0 else partner_counts[m]
+                filters = slopes[0] if side == 0 else slopes[1]
+                _slopes_of_stages(moved, count, y, x, filters, other, by_y, by_x, stages)
+                for e in range(3):
+                    for s in range(count):
+                        coefficients[s, 0, e] = stages[s, 0, e] - 2.0 * stages[s, 2, e]
+                        coefficients[s, 1, e] = stages[s, 2, e] - 0.5 * stages[s, 1, e]
+                        coefficients[s, 2, e] = stages[s, 2, e] + 0.5 * stages[s, 1, e]
+                    for b in range(3):  # places are beside their mean
+                        mean = 0.0
+                        for s in range(count):
+                            mean += coefficients[s, b, e]
+                        for s in range(count):
+                            coefficients[s, b, e] -= mean / count
+                for s in range(count):
+                    for b in range(3):
+                        yy, yx, xx = coefficients[s, b]
+                        scale = shares[p] / count / det
+                        g00, g01 = (a22 * yy - a12 * yx) * scale, (a22 * yx - a12 * xx) * scale
+                        g10, g11 = (a11 * yx - a12 * yy) * scale, (a11 * xx - a12 * yx) * scale
+                        at = hub_seconds[n, s] if side == 0 else seconds[n, s]
+                        at += places[p] + (0.0 if b == 0 else (-period if b == 1 else period))
+                        place = (at - first) / step
+                        node = min(max(int(math.floor(place)) - 1, 0), bins - 4)
+                        u = place - node
+                        w0 = -(u - 1) * (u - 2) * (u - 3) / 6
+                        w1 = u * (u - 2) * (u - 3) / 2
+                        w2 = -u * (u - 1) * (u - 3) / 2
+                        w3 = u * (u - 1) * (u - 2) / 6
+                        for axis in range(3):
+                            if side == 0:
+                                along = hub_turn[n, 0, axis] + hub_late[n, s] * hub_skew[n, 0, axis]
+                                across = hub_turn[n, 1, axis] + hub_late[n, s] * hub_skew[n, 1, axis]
+                            else:
+                                along = turn[n, 0, axis] + late[n, s] * skew[n, 0, axis]
+                                across = turn[n, 1, axis] + late[n, s] * skew[n, 1, axis]
+                            for c in range(2):
+                                value = g00 * along + g01 * across if c == 0 else g10 * along + g11 * across
+                                out[n, side, c, axis, node] += w0 * value
+                                out[n, side, c, axis, node + 1] += w1 * value
+                                out[n, side, c, axis, node + 2] += w2 * value
+                                out[n, side, c, axis, node + 3] += w3 * value

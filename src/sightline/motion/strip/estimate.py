@@ -29,6 +29,7 @@ from sightline.motion.strip.fusion import (
     tie,
     unfelt_tones,
 )
+from sightline.motion.strip.hidden import alike_tones, learned
 from sightline.motion.strip.hyper import ORDER, PriorModel
 from sightline.motion.strip.joint import (
     CONSTANT_SIGMA,
@@ -44,6 +45,7 @@ from sightline.motion.strip.joint import (
 from sightline.motion.strip.normal_equations import (
     GroundOrder,
     modelled,
+    modelled_by_blur,
     no_information,
     normal_equations,
     ordered_ground,
@@ -63,11 +65,14 @@ ROUNDS, DRAFT_ROUNDS = 4, 2
 #: while their sizes still grow, by which sigmas of the motion grow: these change by less than SAME_SIZE.
 STILL, SAME_SIZE = 0.025, 0.1
 #: Share to which the displacement of matches by jitter within the stages of TDI is known. With the
-#: motion known, tones of 47 and 83 Hz of it (16 stages, three scenes, SNR 3000) were .10, .18 and .21 of
-#: themselves off in the mean square.
-BLUR_ERROR = 0.15
-#: Of what the difference of both moves the motion by, so much is its error.
-FED_BACK = 0.5
+#: motion known, tones of 47 and 83 Hz and their products were .00, .00 and .03 of themselves off in the mean
+#: square beyond what noise makes them (16 and 32 stages, three scenes, SNR 3000).
+BLUR_ERROR = 0.05
+#: Motion of which stages leave the second share shows plainly, of what they leave less of less, down to not
+#: at all at the first; so many nodes at least.
+HARDLY, PLAINLY, FEWEST_NODES = 0.2, 0.3, 16
+#: Times in a round that what stages hide is learned from an estimate and estimated anew.
+LEARNED = 4
 #: Frequencies at most where the error of that is owned: of its modes, and sums and differences of them.
 MOST_LINES = 200
 #: Times that control points are linearised before the first matching.
@@ -154,14 +159,28 @@ def solve_strip(
     """Solve; weigh matches by their scatter, let the motion jump where it did, solve again, in `rounds`."""
     grid = strip.grid
     stars = [r.star for r in records]
-    measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
+    # by the motion that windows were moved by, and by that about which blur within stages is known
+    known = [modelled(replace(s, uneven=None), grid, nodes, statics) for s in stars]
+
+    def moved_back(stars: Sequence[Star], about: Array) -> list[Array]:
+        moved = [
+            k if s.uneven is None else k + modelled_by_blur(s, grid, about)
+            for k, s in zip(known, stars, strict=True)
+        ]
+        return [s.residual_px + m for s, m in zip(stars, moved, strict=True)]
+
+    about = nodes
+    if model is strip.broad and any(s.uneven is not None for s in stars):
+        about = plainly_seen(strip, nodes)
+        stars = _blurred_anew(strip, records, stars, about, statics)
+    measured = moved_back(stars, about)
     orders = _ground_orders(strip, stars)
     for camera in strip.nominal:
         camera.forget()
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
     settled = model is not strip.broad
-    angles = model.processes(grid)
+    angles = model.estimated().processes(grid)
     constant, drift = gauge(strip, angles)
     curves = unknown_curves(angles, nodes) if settled else (0.0, 0.0, 0.0)
     prior = JointPrior(angles, sigmas, constant_sigma=constant, drift_sigma=drift, curve_sigma=curves)
@@ -190,7 +209,7 @@ def solve_strip(
         # across a gap longer than its memory an autoregression knows no slope of the drift
         long = longest_gap(data) > ORDER
         width = (data.ab.subdiagonals + 1) // data.block
-        apart, alike_apart = (m.apart(grid, width) if long else None for m in (model, alike))
+        apart, alike_apart = (m.estimated().apart(grid, width) if long else None for m in (model, alike))
         wander = None if slow is None else slow.precision
         ample = JointPrior(ample_angles, sigmas, prior.relief, apart=alike_apart, slow_precision=wander)
         ties = tie(rows, grid, data.block) if rows else None
@@ -209,7 +228,7 @@ def solve_strip(
         return found, [m - w for m, w in zip(clear, whole, strict=True)], without
 
     estimate, post, without = solution()
-    for _ in range(rounds):
+    for number in range(rounds):
         ground = ground_weights(stars, post, beside)
         weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
@@ -227,6 +246,18 @@ def solve_strip(
         if settled and jumps:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
         earlier = post
+        # drafts hardly move on once blur was known about a first solution
+        if any(s.uneven is not None for s in stars) and (number == 0 or rounds > DRAFT_ROUNDS):
+            for step in range(LEARNED if any(model.unseen) else 0):
+                if step > 0:
+                    estimate, _, _ = solution()
+                guessed, model = model, learned(model, estimate, _span(stars))
+                prior = replace(prior, angles=model.estimated().processes(grid))
+                if alike_tones(guessed, model):
+                    break
+            about = estimate.nodes if settled else plainly_seen(strip, estimate.nodes)
+            stars = _blurred_anew(strip, records, stars, about, estimate.statics)
+            measured = moved_back(stars, about)
         del estimate, without  # long strips hold one solution at a time
         estimate, post, without = solution()
         same = _same_jumps(jumped, prior.innovation_weights) and _same_sizes(unlearned, slow)
@@ -250,6 +281,41 @@ def solve_strip(
     )
 
 
+def _span(stars: Sequence[Star]) -> tuple[float, float]:
+    """First and last instant (s) of windows: beyond them a motion is what its neighbours make of it."""
+    times = np.concatenate([t[s.present] for s in stars for t in (s.t, s.t_hub[:, None] + 0.0 * s.t)])
+    return float(times.min()), float(times.max())
+
+
+def plainly_seen(strip: Strip, nodes: Array) -> Array:
+    """Angles (count, 3) less what stages average away: that hardly shows, and its blur as much as its mean.
+
+    Where the first estimate has the sign of such a motion wrong, blur about it would keep it wrong; blur
+    about the others shows it as it is.
+    """
+    cameras = [c for c in strip.nominal if c.stages is not None]
+    if not cameras or len(nodes) < FEWEST_NODES:
+        return nodes
+    line = nodes[0] + (nodes[-1] - nodes[0]) * np.linspace(0.0, 1.0, len(nodes))[:, None]
+    # what is left between the ends of a line through both has no jump where it is continued
+    rest = np.concatenate([nodes - line, -(nodes - line)[::-1]])
+    frequency = np.fft.rfftfreq(len(rest), strip.grid.step)
+    shortest = min(float(np.min(c.stages)) * c.detector.line_period for c in cameras)  # type: ignore[arg-type]
+    share = np.clip((np.abs(np.sinc(frequency * shortest)) - HARDLY) / (PLAINLY - HARDLY), 0.0, 1.0)
+    kept = np.fft.irfft(np.fft.rfft(rest, axis=0) * share[:, None], len(rest), axis=0)
+    return np.asarray(line + kept[: len(nodes)])
+
+
+def _blurred_anew(
+    strip: Strip, records: Sequence[StarRecord], stars: Sequence[Star], nodes: Array, statics: Array
+) -> list[Star]:
+    """Stars displaced by jitter within the stages of TDI of a motion (count, 3)."""
+    cameras = strip.cameras(nodes, statics)
+    return [
+        blurred_by(replace(r, star=s), cameras, strip.surface) for r, s in zip(records, stars, strict=True)
+    ]
+
+
 def _ground_orders(strip: Strip, stars: Sequence[Star]) -> list[GroundOrder]:
     """How the ground of each star lies on the grid."""
     delays = [hub_delay(strip.nominal, strip.surface, s.hub, stars[0].hub) for s in stars]
@@ -262,10 +328,7 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
     Notes
     -----
     What that moved the motion by is known to BLUR_ERROR of itself at every frequency, in any phase: its
-    spectrum times the square of that is the error's. And the motion that was found, all of it, would displace
-    matches otherwise than what was taken off them, that of the motion before without what stages hide. Where
-    blur shows r times as much of a motion as the mean of its stages does, a motion that agrees with what it
-    displaces lies 1 / (1 + r) of the way on: FED_BACK where it shows as much, and that is where it matters.
+    spectrum times the square of that is the error's.
     """
     stars, estimate = [r.star for r in state.records], state.estimate
     if not any(s.blur_px is not None and s.blur_px.any() for s in stars):
@@ -274,10 +337,8 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
         np.where(np.isfinite(s.residual_px), 0.0 if s.blur_px is None else s.blur_px, np.nan) for s in stars
     ]
     orders, relief = _ground_orders(strip, stars), estimate.relief is not None
-    # beyond the windows a motion is what its neighbours make of it
-    times = np.concatenate([t[s.present] for s in stars for t in (s.t, s.t_hub[:, None] + 0.0 * s.t)])
-    nodes = strip.grid.nodes
-    inside = (nodes >= times.min()) & (nodes <= times.max())
+    nodes, (first, last) = strip.grid.nodes, _span(stars)
+    inside = (nodes >= first) & (nodes <= last)
     directions = estimate.hidden_directions(estimate.hidden_drifts)[inside]
 
     def moved_by(blurs: Sequence[Array]) -> MotionSpectrum:
@@ -285,13 +346,9 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
         moved = less_directions(estimate.moved_by(data)[inside], directions, strip.scale)
         return spectrum(Motion(nodes[inside], moved))
 
-    cameras = strip.cameras(estimate.nodes, estimate.statics)
-    again = [blurred_by(r, cameras, strip.surface) for r in state.records]
-    found = moved_by([a - b for a, b in zip(again, blurs, strict=True)])
-    density = FED_BACK**2 * found.psd
-    for component in np.eye(2):
-        density = density + BLUR_ERROR**2 * moved_by([b * component for b in blurs]).psd
-    return state.model.with_errors([_lines(found.frequency, one) for one in density.T])
+    found = [moved_by([b * component for b in blurs]) for component in np.eye(2)]
+    density = BLUR_ERROR**2 * (found[0].psd + found[1].psd)
+    return state.model.with_errors([_lines(found[0].frequency, one) for one in density.T])
 
 
 def _lines(frequency: Array, psd: Array) -> TabulatedPsd | None:

@@ -77,13 +77,19 @@ class PriorModel:
     within it; the marginal likelihood sees them. `unseen` are wide tones, as strong as what TDI may hide at
     their frequencies: no estimate finds them, its sigma owns them. `products` are sums and differences of
     those and of seen modes (intermodulation): every estimate holds them, no body moves so, and the sigma owns
-    them likewise.
+    them likewise. `blur_shows`: rows say how blur within stages shows what TDI hides, which is estimated with
+    the rest then (``hidden.py``), and of which no products are left.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
     noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     unseen: tuple[tuple[Tone, ...], ...] = ((), (), ())
     products: tuple[tuple[Tone | TabulatedPsd, ...], ...] = ((), (), ())
+    blur_shows: bool = False
+
+    def estimated(self) -> PriorModel:
+        """The model whose spectra hold all that is estimated."""
+        return replace(self, spectra=self.whole(), unseen=((), (), ())) if self.blur_shows else self
 
     def whole(self) -> tuple[Spectrum, Spectrum, Spectrum]:
         """The spectra with what TDI averages away."""
@@ -96,7 +102,8 @@ class PriorModel:
     @property
     def unestimated(self) -> tuple[tuple[Tone | TabulatedPsd, ...], ...]:
         """Errors of every estimate, per axis: what TDI averages away, and its products."""
-        return tuple((*hidden, *made) for hidden, made in zip(self.unseen, self.products, strict=True))
+        unseen = ((), (), ()) if self.blur_shows else self.unseen
+        return tuple((*hidden, *made) for hidden, made in zip(unseen, self.products, strict=True))
 
     @property
     def unseen_variance(self) -> Array:
@@ -485,7 +492,7 @@ def fit_prior_model(
             "by side, or too weak a texture; give more columns, larger windows ([matching] window), or bands "
             "of more contrast"
         )
-    hidden = estimate.untied_drifts()
+    untied = estimate.untied_drifts()
 
     def fitted(
         axis: int,
@@ -510,7 +517,7 @@ def fit_prior_model(
             detail=DETAIL[axis] / float(pixel[axis]) ** 2,
             elsewhere=elsewhere,
             motion=(estimate.grid.nodes, estimate.nodes[:, axis]),
-            rate_seen=axis not in hidden,
+            rate_seen=axis not in untied,
             settled=settled,
             near=near or begin is not None,
             smoothness=smoothness and begin is None,
@@ -564,11 +571,16 @@ def fit_prior_model(
         one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
         for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
     ]
+    blur_shows = all(s.uneven is not None for s in stars)
+    hidden = [roll.hidden, pitch.hidden, yaw.hidden]
+    if start is not None and start.blur_shows:
+        hidden = [old or new for old, new in zip(start.unseen, hidden, strict=True)]
     model = PriorModel(
         (spectra[0], spectra[1], spectra[2]),
         (scales[0], scales[1], scales[2]),
-        (roll.hidden, pitch.hidden, yaw.hidden),
-        (roll.products, pitch.products, yaw.products),
+        (hidden[0], hidden[1], hidden[2]),
+        ((), (), ()) if blur_shows else (roll.products, pitch.products, yaw.products),
+        blur_shows,
     )
     return model.with_turns(length, drift_alone=across is not None)
 

@@ -194,6 +194,26 @@ def _expand(product, w, compact, statics, instants, support, n_local, local):  #
 
 
 @njit(cache=True, nogil=True)
+def _add_uneven(uneven, at, t, factor, first, start, step, support, out):  # type: ignore[no-untyped-def]
+    """Add weights (3, B) at instants `at` beside `t` to `out` (3, support) of the nodes from `first` on."""
+    for b in range(len(at)):
+        x = (t + at[b] - start) / step
+        node = min(max(int(math.floor(x)) - 1, first), first + support - 4)
+        u = x - node
+        o = node - first
+        w0 = -(u - 1) * (u - 2) * (u - 3) / 6 * factor
+        w1 = u * (u - 2) * (u - 3) / 2 * factor
+        w2 = -u * (u - 1) * (u - 3) / 2 * factor
+        w3 = u * (u - 1) * (u - 2) / 6 * factor
+        for axis in range(3):
+            value = uneven[axis, b]
+            out[axis, o] += w0 * value
+            out[axis, o + 1] += w1 * value
+            out[axis, o + 2] += w2 * value
+            out[axis, o + 3] += w3 * value
+
+
+@njit(cache=True, nogil=True)
 def _accumulate(  # type: ignore[no-untyped-def]
     t_hub,
     t,
@@ -212,6 +232,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
     by_height,
     field,
     correlation,
+    uneven,
+    uneven_at,
     relief,
     start,
     step,
@@ -245,6 +267,10 @@ def _accumulate(  # type: ignore[no-untyped-def]
     product = np.zeros((compact, compact + 1))
     a = np.zeros((rows_max, compact + 1))
     r = np.zeros((rows_max, rows_max))
+    # where stages count unevenly each row has weights in time of its own
+    own = len(uneven_at) > 0
+    wide = np.zeros((rows_max if own else 0, n_local + 1))
+    added = np.zeros((3, support))
     chi2, rows_total = 0.0, 0
     for s in range(statics):
         index[n_local - statics + s] = block_n + s
@@ -286,6 +312,20 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 for s in range(statics):
                     a[row + c, compact - statics + s] = by_static[g, k, c, s]
                 a[row + c, compact] = residual[g, k, c]
+            if own:
+                for c in range(2):
+                    for j in range(n_local + 1):
+                        wide[row + c, j] = 0.0
+                    for side in range(2):
+                        q = (0 if side == 0 else parts * (1 + k)) + (c if parts == 2 else 0)
+                        added[:] = 0.0
+                        at = t_hub[g] if side == 0 else t[g, k]
+                        _add_uneven(
+                            uneven[g, k, side, c], uneven_at, at, 1.0, first[q], start, step, support, added
+                        )
+                        for axis in range(3):
+                            for m in range(support):
+                                wide[row + c, (3 * q + axis) * support + m] = added[axis, m]
             row += 2
         # error covariance of the rows: own Cholesky factors around the shared-image correlation
         ri = 0
@@ -327,9 +367,15 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 f = r[i, m]
                 for j in range(compact + 1):
                     a[i, j] -= f * a[m, j]
+                if own:
+                    for j in range(heights * support):
+                        wide[i, j] -= f * wide[m, j]
             inverse = 1.0 / r[i, i]
             for j in range(compact + 1):
                 a[i, j] *= inverse
+            if own:
+                for j in range(heights * support):
+                    wide[i, j] *= inverse
             chi2 += a[i, compact] * a[i, compact]
         rows_total += rows
         # same nodes as before? else hand over what was summed
@@ -359,6 +405,20 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     j = (heights + axis) * support + m
                     index[j] = (first[instants] + m - node) * block + 3 + axis
                     used[j] = True
+        if own:
+            for row in range(rows):
+                for p in range(compact - statics):
+                    group = min(p // 3, instants)
+                    for m in range(support):
+                        wide[row, p * support + m] += a[row, p] * w[group, m]
+                for s in range(statics + 1):
+                    wide[row, n_local - statics + s] = a[row, compact - statics + s]
+                for i in range(n_local):
+                    f = wide[row, i]
+                    if f != 0.0:
+                        for j in range(i, n_local + 1):
+                            local[i, j] += f * wide[row, j]
+            continue
         for i in range(compact):
             for j in range(i, compact + 1):
                 product[i, j] = 0.0
@@ -388,6 +448,8 @@ def _modelled(  # type: ignore[no-untyped-def]
     by_static,
     by_height,
     field,
+    uneven,
+    uneven_at,
     relief,
     start,
     step,
@@ -402,6 +464,7 @@ def _modelled(  # type: ignore[no-untyped-def]
     w = np.zeros(support)
     hub = np.zeros((2, 3))
     partner = np.zeros((2, 3))
+    own, added = len(uneven_at) > 0, np.zeros((3, support))
     for g in range(patches):
         for c in range(parts):
             spans = along if parts == 2 and c == 0 else duration
@@ -435,6 +498,17 @@ def _modelled(  # type: ignore[no-untyped-def]
                     )
                 for s in range(statics.shape[0]):
                     total += by_static[g, k, c, s] * statics[s]
+                for side in range(2 if own else 0):
+                    at = t_hub[g] if side == 0 else t[g, k]
+                    spans, whole = along if parts == 2 and c == 0 else duration, tdi_hub[g]
+                    if side == 1:
+                        whole = tdi[g, k]
+                    first = _window_weights(at, spans, whole, start, step, count, support, w)
+                    added[:] = 0.0
+                    _add_uneven(uneven[g, k, side, c], uneven_at, at, 1.0, first, start, step, support, added)
+                    for axis in range(3):
+                        for m in range(support):
+                            total += added[axis, m] * nodes[first + m, axis]
                 out[g, k, c] = total
 
 
@@ -677,6 +751,13 @@ class _Piece:
         return out
 
 
+def _uneven(star: Star) -> tuple[NDArray[np.float32], Array]:
+    """`uneven` and `uneven_at` of a star, of no instants where it has none."""
+    if star.uneven is None or star.uneven_at is None:
+        return np.zeros((len(star.t_hub), star.t.shape[1], 2, 2, 3, 0), dtype=np.float32), np.zeros(0)
+    return star.uneven, star.uneven_at
+
+
 def _support(star: Star, grid: TimeGrid) -> int:
     """Nodes that a row of a star is interpolated from, at each of its two instants."""
     return TAPS + math.ceil(star.longest / grid.step)
@@ -702,6 +783,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
     statics = len(beside)
     corner, rhs_static = np.zeros((statics, statics)), np.zeros(statics)
     tdi_hub, tdi = star.averaging()
+    uneven, uneven_at = _uneven(star)
     stretches, chi2, rows = [], 0.0, 0
     for part, low, high in piece.stretches(grid):
         n = block * (high - low)
@@ -724,6 +806,8 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
             star.by_height[part],
             star.field[part],
             star.correlation,
+            uneven[part],
+            uneven_at,
             block == 5,
             grid.start,
             grid.step,
@@ -793,6 +877,14 @@ def window_rows(
             share = by[which][:, :, None, :] * w[:, None, :, None] / (points * each)
             values.append(share.reshape(2 * len(which), -1))
             columns.append(at.reshape(2 * len(which), -1))
+    uneven, uneven_at = _uneven(star)
+    for side, t in enumerate((star.t_hub, star.t[:, 0])):
+        for at, by in zip(uneven_at, np.moveaxis(uneven[which, 0, side], -1, 0), strict=True):
+            first, w = grid.weights(t[which] + at)
+            node = first[:, None, None, None] + np.arange(TAPS)[:, None]
+            place = np.broadcast_to(block * node + np.arange(3), (len(which), 2, TAPS, 3))
+            values.append((by[:, :, None, :] * w[:, None, :, None]).reshape(2 * len(which), -1))
+            columns.append(place.reshape(2 * len(which), -1))
     value, column = np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
     each = np.arange(2 * len(which) + 1) * value.shape[1]
     shape = (2 * len(which), block * grid.count)
@@ -822,6 +914,7 @@ def modelled(
     t_ground, nodes = order.of(star.t_hub), np.ascontiguousarray(nodes)
     values = np.asarray(statics, dtype=float)
     support, (tdi_hub, tdi) = _support(star, grid), star.averaging()
+    uneven, uneven_at = _uneven(star)
 
     def work(part: slice) -> None:
         _modelled(
@@ -838,6 +931,8 @@ def modelled(
             star.by_static[part],
             star.by_height[part],
             star.field[part],
+            uneven[part],
+            uneven_at,
             nodes.shape[1] == 5,
             grid.start,
             grid.step,
@@ -848,3 +943,9 @@ def modelled(
 
     in_threads(work, _parts(star))
     return out
+
+
+def modelled_by_blur(star: Star, grid: TimeGrid, nodes: Array) -> Array:
+    """What uneven weights of stages add to what the rows of a star read, (G, K, 2) px."""
+    none = np.zeros(star.by_static.shape[3])
+    return modelled(star, grid, nodes, none) - modelled(replace(star, uneven=None), grid, nodes, none)

@@ -137,7 +137,10 @@ def turned_star(star: Star, turn: Array) -> Star:
     if np.array_equal(turn, np.eye(3)):
         return star
     back = turn.T.astype(np.float32)
-    return replace(star, by_hub=star.by_hub @ back, by_partner=star.by_partner @ back)
+    uneven = star.uneven
+    if uneven is not None:
+        uneven = np.einsum("gksiab,ac->gksicb", uneven, back)
+    return replace(star, by_hub=star.by_hub @ back, by_partner=star.by_partner @ back, uneven=uneven)
 
 
 def turned_band(band: Array, turn: Array) -> Array:
