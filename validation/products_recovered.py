@@ -82,7 +82,7 @@ def one(name: str, seed: int, lines: int) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(1, 11)))
     parser.add_argument("--lines", type=int, default=2000)
     parser.add_argument("--products", nargs="+", default=list(PRODUCTS))
     given = parser.parse_args()
