@@ -220,12 +220,26 @@ def test_the_error_model_is_learned_from_the_residuals():
         star.__class__(**{**vars(star), "covariance_px": star.covariance_px / 4.0}) for star in matches
     ]
     found = solve_frames(claimed, FrameUnknowns(pinholes.cameras(6), ()), Plane(), FrameNoise.start(LAGS))
-    none = [np.zeros(len(star.pixels)) for star in claimed]
-    learned = learn_noise(found.stars, found.clean_px, none, LAGS, found.noise)
+    learned = learn_noise(found.stars, found.clean_px, found.explained(), LAGS, found.noise)
     # sigmas were claimed half as large as they are; the hub's noise is half of every error. About 150 windows
     # x 2 components x 5 hubs at lag 1: 3 % of a variance; at lag 3 fewer than half
     np.testing.assert_allclose(np.diag(learned.gamma), 4.0, rtol=0.2)
     assert learned.shared == pytest.approx(2.0, rel=0.2)
+
+
+def test_a_free_lens_does_not_make_matches_look_better_than_they_are():
+    # true sigmas, but a field of 130 numbers follows the errors of about 1000
+    field = LensField(pinholes.SHAPE, 0.5, 60.0)
+    matches = pinholes.stars(walk(6, seed=7), rng=np.random.default_rng(0))
+    found = solve_frames(
+        matches, FrameUnknowns(pinholes.cameras(6), (), field), Plane(), FrameNoise.start(LAGS), steps=2
+    )
+    taken = found.explained()
+    learned = learn_noise(found.stars, found.clean_px, taken, LAGS, found.noise)
+    looks = learn_noise(found.stars, found.clean_px, [0.0 * part for part in taken], LAGS, found.noise)
+    # 400 errors at lag 1, 300 at lag 2: 7 and 8 % of a variance, times two
+    np.testing.assert_allclose(np.diag(learned.gamma)[:2], 1.0, rtol=0.16)
+    assert (np.diag(looks.gamma)[:2] < 0.84).all()
 
 
 def test_lags_that_are_hardly_seen_take_the_level_of_the_others():
@@ -234,8 +248,7 @@ def test_lags_that_are_hardly_seen_take_the_level_of_the_others():
     found = solve_frames(
         few, FrameUnknowns(pinholes.cameras(6), ()), Plane(), FrameNoise.start(LAGS, scale=10.0)
     )
-    none = [np.zeros(len(star.pixels)) for star in few]
-    learned = learn_noise(found.stars, found.clean_px, none, LAGS, found.noise)
+    learned = learn_noise(found.stars, found.clean_px, found.explained(), LAGS, found.noise)
     assert learned.gamma[2, 2] == pytest.approx(np.diag(learned.gamma)[:2].max(), rel=0.05)
     assert np.linalg.eigvalsh(learned.gamma).min() > 0
 

@@ -146,7 +146,7 @@ def across(along: Array) -> Array:
 def learn_noise(
     stars: Sequence[Star],
     clean_px: Sequence[Array],
-    drift_variance: Sequence[Array],
+    explained: Sequence[Array],
     lags: Sequence[int],
     before: FrameNoise,
 ) -> FrameNoise:
@@ -157,10 +157,10 @@ def learn_noise(
     stars : sequence of Star
     clean_px : (G, K, 2) each
         Residuals after the fit, what the ground fields explain taken out, px.
-    drift_variance : (G,) each
-        m^2; posterior variance of the drift, which is given back (expectation-maximisation). With ground
-        fields, only residuals across the parallax are used: along it, heights of single windows take too
-        much.
+    explained : (parts, G, K, K) each
+        Covariance of what the fit takes out of the errors, which is given back (expectation-maximisation):
+        ``FrameEstimate.explained``. With ground fields, only residuals across the parallax are used: along
+        it, heights of single windows take too much.
     lags : sequence of int
     before : FrameNoise
         Stays where there are too few matches at any lag.
@@ -169,15 +169,15 @@ def learn_noise(
     total, count = np.zeros((len(lags), len(lags))), np.zeros((len(lags), len(lags)))
     relief = bool(before.fields)
     spread = _spreads(stars, clean_px, lags, relief)
-    for star, clean, variance in zip(stars, clean_px, drift_variance, strict=True):
-        parts, lever = _free_of_height(star, clean, relief)
+    for star, clean, taken in zip(stars, clean_px, explained, strict=True):
         rows = [index[image - star.hub] for image in star.images]
         limit = CLIP * spread[rows]
-        for part in parts:
-            good = star.present & np.isfinite(part) & (np.abs(part) <= limit)
-            values, arms = np.where(good, part, 0.0), np.where(good, lever, 0.0)
-            total[np.ix_(rows, rows)] += values.T @ values + arms.T @ (variance[:, None] * arms)
-            count[np.ix_(rows, rows)] += good.T.astype(float) @ good.astype(float)
+        for part, covariance in zip(_free_of_height(star, clean, relief), taken, strict=True):
+            good = (star.present & np.isfinite(part) & (np.abs(part) <= limit)).astype(np.float64)
+            values = np.where(good > 0.0, part, 0.0)
+            total[np.ix_(rows, rows)] += values.T @ values
+            total[np.ix_(rows, rows)] += np.einsum("gij,gi,gj->ij", covariance, good, good, optimize=True)
+            count[np.ix_(rows, rows)] += good.T @ good
     gamma = _completed(total / np.maximum(count, 1.0), count >= MIN_COUNT)
     if gamma is None:
         return before
@@ -214,7 +214,7 @@ def _spreads(stars: Sequence[Star], clean_px: Sequence[Array], lags: Sequence[in
     """Robust sigma of the scaled errors at each lag."""
     pools: dict[int, list[Array]] = {lag: [] for lag in lags}
     for star, clean in zip(stars, clean_px, strict=True):
-        for part in _free_of_height(star, clean, relief)[0]:
+        for part in _free_of_height(star, clean, relief):
             for k, image in enumerate(star.images):
                 good = star.present[:, k] & np.isfinite(part[:, k])
                 pools[image - star.hub].append(np.abs(part[good, k]))
@@ -222,17 +222,26 @@ def _spreads(stars: Sequence[Star], clean_px: Sequence[Array], lags: Sequence[in
     return np.array([robust_sigma(pool) if len(pool) else 1.0 for pool in medians])
 
 
-def _free_of_height(star: Star, clean_px: Array, relief: bool) -> tuple[list[Array], Array]:
-    """Scaled residuals (G, K) free of heights: both axes, or the one across the parallax; its lever, 1/m."""
-    factors = cholesky_factors(star.covariance_px)
-    z = whitened_by(clean_px, factors)
-    along = whitened_by(np.asarray(star.by_height, dtype=np.float64), factors)
-    length = np.hypot(along[..., 0], along[..., 1])
+def free_directions(star: Star, relief: bool) -> list[Array]:
+    """Directions (G, K, 2) of scaled residuals that are free of heights: both axes, or across the parallax.
+
+    0 where there is no parallax.
+    """
+    along = whitened_by(np.asarray(star.by_height, dtype=np.float64), cholesky_factors(star.covariance_px))
     if not relief:
-        return [z[..., 0], z[..., 1]], np.zeros_like(length)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        part = (across(along) * z).sum(axis=-1) / length
-    return [np.asarray(part)], length
+        return [np.broadcast_to(axis, along.shape) for axis in np.eye(2)]
+    length = np.linalg.norm(along, axis=2, keepdims=True)
+    return [across(np.divide(along, length, out=np.zeros_like(along), where=length > 0.0))]
+
+
+def _free_of_height(star: Star, clean_px: Array, relief: bool) -> list[Array]:
+    """Scaled residuals (G, K) free of heights, NaN where there is no parallax to tell."""
+    z = whitened_by(clean_px, cholesky_factors(star.covariance_px))
+    parts = []
+    for direction in free_directions(star, relief):
+        known = (direction != 0.0).any(axis=2)
+        parts.append(np.where(known, (direction * z).sum(axis=2), np.nan))
+    return parts
 
 
 def learn_field(ground: Array, height: Array, precision: Array, start: GroundField) -> GroundField:

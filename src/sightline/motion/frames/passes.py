@@ -271,7 +271,7 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
         if unknowns.field is not None:
             rows = slice(unknowns.lens, None)
             unknowns = replace(
-                unknowns, field=unknowns.field.learned(x[rows], estimate.covariance[rows, rows])
+                unknowns, field=unknowns.field.learned(x[rows], estimate.posterior[rows, rows])
             )
     estimate = solve_frames(stars, unknowns, sequence.surface, noise, x, steps=2)
     return PassState(estimate, tuple(stars))
@@ -326,8 +326,7 @@ def _ground_fields(
 
 def _learned(estimate: FrameEstimate, lags: Sequence[int]) -> FrameNoise:
     """Errors of the matches and the laws of relief and drift as the residuals show them."""
-    variance = estimate.fields[1].variance if estimate.fields else np.zeros(len(estimate.ground))
-    noise = learn_noise(estimate.stars, estimate.clean_px, estimate.per_star(variance), lags, estimate.noise)
+    noise = learn_noise(estimate.stars, estimate.clean_px, estimate.explained(), lags, estimate.noise)
     fields = tuple(
         learn_field(estimate.ground, found.alone, found.precision, law)
         for found, law in zip(estimate.fields, noise.fields, strict=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -24,7 +25,14 @@ from sightline.motion.frames.errors import Influence, neighbour_covariance
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.matches import FrameStar
-from sightline.motion.frames.noise import FrameNoise, across, cholesky_factors, match_information, whitened_by
+from sightline.motion.frames.noise import (
+    FrameNoise,
+    across,
+    cholesky_factors,
+    free_directions,
+    match_information,
+    whitened_by,
+)
 from sightline.motion.frames.ties import FrameTies
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
@@ -197,11 +205,10 @@ class FrameEstimate:
     ----------
     unknowns : FrameUnknowns
     x : (P,)
-    covariance : (P, P)
-        With all that pairs share.
     cameras : list of FrameCamera
+    matched : sequence of FrameStar
     stars : list of Star
-        Linearised at `cameras`.
+        `matched`, linearised at `cameras`.
     fields : tuple of FieldEstimate
         Relief and drift of all windows; empty where the relief is known.
     post_px : per star (G, K, 2)
@@ -209,23 +216,33 @@ class FrameEstimate:
     noise : FrameNoise
     ground : (sum of G, 3)
         m; where the windows look.
-    influence : Influence
-        Of matches, relief and prior on x.
     information : (P, P)
         Of the matches on x, relief taken out.
+    posterior : (P, P)
+        Covariance of x, but for what windows of one image err together.
     """
 
     unknowns: FrameUnknowns
     x: Array
-    covariance: Array
     cameras: list[FrameCamera]
+    matched: Sequence[FrameStar]
     stars: list[Star]
     fields: tuple[FieldEstimate, ...]
     post_px: list[Array]
     noise: FrameNoise
     ground: Array
-    influence: Influence
     information: Array
+    posterior: Array
+
+    @cached_property
+    def influence(self) -> Influence:
+        """Of matches, ground fields and prior on x."""
+        return _influence(self)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(P, P), with all that pairs share."""
+        return self.posterior + neighbour_covariance(self.influence, self.noise.shared)
 
     @property
     def angles(self) -> Array:
@@ -257,6 +274,32 @@ class FrameEstimate:
             out.append(clean)
         return out
 
+    def explained(self) -> list[Array]:
+        """Covariance (parts, G, K, K) of what the fit takes out of each window's errors, per star.
+
+        Of their parts that are free of heights (`free_of_height`), in units of the matcher's sigma. Residuals
+        are smaller than the errors by what the unknowns and the ground fields follow them.
+        """
+        out, first = [], 0
+        for star, line in zip(self.matched, self.stars, strict=True):
+            _, design, height = _rows(star, line, self.unknowns)
+            windows = slice(first, first + len(star.pixels))
+            first = windows.stop
+            levers = (height, across(height))[: len(self.fields)]
+            for lever, field in zip(levers, self.fields, strict=True):
+                design -= lever[..., None] * field.follows[windows][:, None, None, :]
+            parts = []
+            for direction in free_directions(line, bool(self.fields)):
+                rows = np.einsum("gkc,gkcp->gkp", direction, design)
+                spread = (rows.reshape(-1, self.unknowns.size) @ self.posterior).reshape(rows.shape)
+                covariance = spread @ np.swapaxes(rows, 1, 2)
+                for lever, field in zip(levers, self.fields, strict=True):
+                    arm = (direction * lever).sum(axis=2)
+                    covariance += field.variance[windows, None, None] * arm[:, :, None] * arm[:, None, :]
+                parts.append(covariance)
+            out.append(np.stack(parts))
+        return out
+
     def per_star(self, values: NDArray[Scalar]) -> list[NDArray[Scalar]]:
         """Values of all windows (sum of G,) cut into stars."""
         return np.split(values, np.cumsum([len(star.pixels) for star in self.stars])[:-1])
@@ -269,15 +312,18 @@ class FieldEstimate:
     Attributes
     ----------
     value, variance : (sum of G,)
-        m, m^2; posterior.
+        m, m^2; posterior, the unknowns being where they are.
     alone, precision : (sum of G,)
         m, 1/m^2; what each window's own matches say.
+    follows : (sum of G, P)
+        m; what the field takes of each unknown, per unit of it.
     """
 
     value: Array
     variance: Array
     alone: Array
     precision: Array
+    follows: Array
 
 
 def _levers(star: Star) -> tuple[Array, Array]:
@@ -337,20 +383,18 @@ def solve_frames(
     ground = _ground(stars, cameras, surface)
     reduced = _reduce(stars, lines, unknowns, noise)
     solver = _Solver(reduced, prior, noise, ground, fixed, unknowns.known(cameras, x))
-    influence = _influence(stars, lines, unknowns, noise, solver)
-    shared = neighbour_covariance(influence, noise.shared)
     return FrameEstimate(
         unknowns,
         x,
-        solver.posterior + shared,
         cameras,
+        stars,
         lines,
         tuple(part.estimate() for part in solver.fields),
         [line.residual_px for line in lines],
         noise,
         ground,
-        influence,
         solver.information,
+        solver.posterior,
     )
 
 
@@ -421,13 +465,7 @@ class _Eliminated:
         self.kept, self.kept_rhs = self.loose - both[:, :-1], self.loose_rhs - both[:, -1]
 
     @property
-    def gain(self) -> Array:
-        """(sum of G, P): change of the right-hand side with the true field, 1/m."""
-        return np.asarray(self.root[:, None] * (self.loose - self.kept))
-
-    @property
-    def correction(self) -> Array:
-        """(sum of G, P): what the eliminated field takes of each unknown, m per unit."""
+    def _follows(self) -> Array:
         return np.asarray(self.kept / self.root[:, None])
 
     def estimate(self) -> FieldEstimate:
@@ -439,7 +477,7 @@ class _Eliminated:
         variance = np.where(self.seen, (1.0 - inverse_diagonal) / self.root**2, self.prior_variance)
         alone = np.where(self.seen, self.sums.rhs / self.root**2, 0.0)
         return FieldEstimate(
-            self.kept_rhs / self.root, np.maximum(variance, 0.0), alone, self.sums.information
+            self.kept_rhs / self.root, np.maximum(variance, 0.0), alone, self.sums.information, self._follows
         )
 
 
@@ -477,26 +515,26 @@ class _Solver:
         return np.asarray(self.posterior @ (self.rhs - self.prior @ x))
 
 
-def _influence(
-    stars: Sequence[FrameStar],
-    lines: Sequence[Star],
-    unknowns: FrameUnknowns,
-    noise: FrameNoise,
-    solver: _Solver,
-) -> Influence:
+def _influence(estimate: FrameEstimate) -> Influence:
     """Influence of every match, ground field and prior mean on the unknowns."""
+    unknowns, noise, posterior = estimate.unknowns, estimate.noise, estimate.posterior
     first, gains = 0, []
-    for star, line in zip(stars, lines, strict=True):
+    moved: list[list[Array]] = [[] for _ in estimate.fields]
+    for star, line in zip(estimate.matched, estimate.stars, strict=True):
         _, design, height = _rows(star, line, unknowns)
         windows = slice(first, first + len(star.pixels))
         first = windows.stop
-        for lever, part in zip((height, across(height)), solver.fields, strict=False):
-            design -= lever[..., None] * part.correction[windows][:, None, None, :]
-        weight = match_information(line, noise)
-        gains.append(np.einsum("gkl,glcp->gkcp", weight, design, optimize=True) @ solver.posterior)
+        levers = (height, across(height))[: len(estimate.fields)]
+        for lever, field in zip(levers, estimate.fields, strict=True):
+            design -= lever[..., None] * field.follows[windows][:, None, None, :]
+        weighed = np.einsum("gkl,glcp->gkcp", match_information(line, noise), design, optimize=True)
+        gains.append(weighed @ posterior)
+        # a true field acts through the matches that it moves
+        for lever, parts in zip(levers, moved, strict=True):
+            parts.append(np.einsum("gkc,gkcp->gp", lever, gains[-1]))
     return Influence(
-        [star.with_weight(line.weight) for star, line in zip(stars, lines, strict=True)],
+        [star.with_weight(line.weight) for star, line in zip(estimate.matched, estimate.stars, strict=True)],
         gains,
-        tuple(part.gain @ solver.posterior for part in solver.fields),
-        -solver.prior @ solver.posterior,
+        tuple(np.concatenate(parts) for parts in moved),
+        -unknowns.prior_precision() @ posterior,
     )
