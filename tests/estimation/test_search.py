@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import toeplitz
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import NoiseModel, Search, _mean_hidden, _without_seldom, descend_within
+from sightline.estimation.search import NoiseModel, Search, _mean_hidden, descend_within
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, COUNT, TDI, SIGMA = 1e-3, 800, 8e-3, 0.02
@@ -148,17 +148,6 @@ def test_what_long_lines_may_average_away_is_owned_where_it_is_not_seldom(
     variance = np.trapezoid(density * 0.15**2 * (83.0 / x) ** 3, x) / (1.0 + np.trapezoid(density, x))
     # that rows show nothing of it below 100 Hz makes it less likely there: less than a half of its variance
     assert (0.6 * np.sqrt(variance) < size < 1.1 * np.sqrt(variance)) if owned else size == 0.0
-
-
-def test_stretches_that_hold_modes_most_seldom_are_not_owned() -> None:
-    # odds of a mode, before or after what is seen: .9, .2, .25 and .02; of what is more seldom than .464
-    # together the rarest go, and .02 + .2 + .25 is more than that
-    hidden = np.array([1, 1, 0, 1, 0, 1, 1, 0, 1], dtype=bool)
-    number = np.array([0.5, 0.4, 9.0, 0.1, 9.0, 0.1, 0.15, 9.0, 0.02])
-    likely = np.array([0.1, 0.0, 9.0, 0.2, 9.0, 0.0, 0.0, 9.0, 0.01])
-    owned = _without_seldom(hidden, number, likely)
-    assert owned.tolist() == [True, True, False, False, False, True, True, False, False]
-    assert not _without_seldom(hidden, 0.1 * number, 0.1 * likely).any()
 
 
 def test_products_of_a_hidden_mode_are_as_large_as_the_third_moment_makes_them() -> None:

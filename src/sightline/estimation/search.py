@@ -733,7 +733,7 @@ class Search:
         it is as much the work of other modes. Nothing is read at sums and differences of two or three modes,
         where their own products are. Windows of coarse lines, whose filter mixes lines by an amount that is
         not known so well, show the less of what is possible. Where modes are there so SELDOM that a sigma
-        need not hold for them, they do not widen it: the stretches with the fewest, together.
+        need not hold for them, they do not widen it.
         """
         shortest = max(min(self._tdi, default=0.0), self._coarse)
         if not shortest > 0.0:  # some image has no stages, and lines that are fine enough: it shows all
@@ -795,8 +795,10 @@ class Search:
             near = apart <= max(SAME_TONE / self._length, float(apart.min()))
             number[near] = np.maximum(number[near], odds / near.sum())
         expected, likely = _mean_hidden(strength / f**3, number, gain, 0.5 * information, doubt)
-        owned = _without_seldom(hidden, np.maximum(number, 0.0), np.exp(np.minimum(likely, 50.0)))
-        return _wide_tones(f, owned, expected, 1.0 / self._length), through
+        odds = max(number[hidden].sum(), np.exp(likely[hidden]).sum())
+        if odds < SELDOM / (1.0 - SELDOM):
+            return (), through
+        return _wide_tones(f, hidden, expected, 1.0 / self._length), through
 
     def without_products(self, model: NoiseModel) -> NoiseModel:
         """The model less tones that are products of a mode that TDI hides and others that it does not.
@@ -1163,20 +1165,6 @@ def _mean_hidden(
     most = log_weight.max(axis=1)
     likely = most + np.log(np.exp(log_weight - most[:, None]).sum(axis=1))
     return np.asarray((weight * variance).sum(axis=1) / (math.exp(-top) + around)), likely
-
-
-def _without_seldom(hidden: NDArray[np.bool_], number: Array, likely: Array) -> NDArray[np.bool_]:
-    """The hidden frequencies less those stretches that hold modes most seldom, together SELDOM.
-
-    `number` and `likely` are odds of a mode at each, before and after what is seen; the larger counts.
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int))).reshape(-1, 2)
-    odds = np.array([max(number[a:b].sum(), likely[a:b].sum()) for a, b in edges])
-    out = hidden.copy()
-    rarest = np.argsort(odds)
-    for k in rarest[np.cumsum(odds[rarest]) < SELDOM / (1.0 - SELDOM)]:
-        out[edges[k, 0] : edges[k, 1]] = False
-    return out
 
 
 def _wide_tones(f: Array, hidden: NDArray[np.bool_], variance: Array, narrow: float) -> tuple[Tone, ...]:

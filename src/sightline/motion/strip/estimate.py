@@ -29,7 +29,7 @@ from sightline.motion.strip.fusion import (
     tie,
     unfelt_tones,
 )
-from sightline.motion.strip.hidden import alike_tones, learned
+from sightline.motion.strip.hidden import learned
 from sightline.motion.strip.hyper import ORDER, PriorModel
 from sightline.motion.strip.joint import (
     CONSTANT_SIGMA,
@@ -71,8 +71,6 @@ BLUR_ERROR = 0.05
 #: Motion of which stages leave the second share shows plainly, of what they leave less of less, down to not
 #: at all at the first; so many nodes at least.
 HARDLY, PLAINLY, FEWEST_NODES = 0.2, 0.3, 16
-#: Times in a round that what stages hide is learned from an estimate and estimated anew.
-LEARNED = 4
 #: Frequencies at most where the error of that is owned: of its modes, and sums and differences of them.
 MOST_LINES = 200
 #: Times that control points are linearised before the first matching.
@@ -228,7 +226,7 @@ def solve_strip(
         return found, [m - w for m, w in zip(clear, whole, strict=True)], without
 
     estimate, post, without = solution()
-    for number in range(rounds):
+    for _ in range(rounds):
         ground = ground_weights(stars, post, beside)
         weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
@@ -246,15 +244,10 @@ def solve_strip(
         if settled and jumps:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
         earlier = post
-        # drafts hardly move on once blur was known about a first solution
-        if any(s.uneven is not None for s in stars) and (number == 0 or rounds > DRAFT_ROUNDS):
-            for step in range(LEARNED if any(model.unseen) else 0):
-                if step > 0:
-                    estimate, _, _ = solution()
-                guessed, model = model, learned(model, estimate, _span(stars))
+        if any(s.uneven is not None for s in stars):
+            if any(model.unseen):
+                model = learned(model, estimate, _span(stars))
                 prior = replace(prior, angles=model.estimated().processes(grid))
-                if alike_tones(guessed, model):
-                    break
             about = estimate.nodes if settled else plainly_seen(strip, estimate.nodes)
             stars = _blurred_anew(strip, records, stars, about, estimate.statics)
             measured = moved_back(stars, about)

@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 WIDTHS, RESOLUTIONS = 2.0, 4.0
 #: s; longest piece of a strip that is looked at as a whole, and so many pieces at most.
 PIECE, MOST_PIECES = 1.0, 3
-#: Tones whose logarithms of size and width change by less are learned.
-SAME_SIZE, SAME_WIDTH = 0.02, 0.1
 #: Least width of a tone, in units of one over the length of a piece.
 NARROWEST = 0.1
 #: A tone is at most as wide as this share of its frequency.
@@ -55,16 +53,6 @@ def learned(model: PriorModel, estimate: JointEstimate, seen: tuple[float, float
         for axis, whole in enumerate(model.whole())
     )
     return replace(model, unseen=(roll, pitch, yaw))
-
-
-def alike_tones(before: PriorModel, after: PriorModel) -> bool:
-    """Whether hidden tones are about as large and as wide as they were."""
-    return all(
-        abs(math.log(new.sigma / old.sigma)) < SAME_SIZE
-        and abs(math.log(new.bandwidth / old.bandwidth)) < SAME_WIDTH
-        for olds, news in zip(before.unseen, after.unseen, strict=True)
-        for old, new in zip(olds, news, strict=True)
-    )
 
 
 def _pieces(nodes: Array, seen: tuple[float, float]) -> list[slice]:
