@@ -434,7 +434,7 @@ def toneless(count: int) -> None:
         scaled = [replace(s, values=s.values / sigma, variance=s.variance / sigma**2) for s in series]
         known = spectrum.scaled(1.0 / sigma)
         equations = series_equations(scaled, Grid(0.0, STEP, short), spectrum=known)
-        search = Search(equations, 1.0, False, STEP * short, spread=spread_of(scaled))
+        search = Search(equations, 1.0, False, STEP * short, spread=spread_of(scaled, 0.3 / STEP))
         found = search.unexplained_tones(NoiseModel.of(known), 0.999)
         return found[0][1] if found else 0.0
 
@@ -444,7 +444,7 @@ def toneless(count: int) -> None:
         [max(fit_spectrum(drawn(), false_alarm=0.1).significance, default=0.0) for _ in range(fitted)]
     )
     for chance in (0.1, 0.01, 0.001):
-        least = gain_of_chance(0.3 / STEP * spread_of(drawn()), chance)
+        least = gain_of_chance(0.3 / STEP * spread_of(drawn(), 0.3 / STEP), chance)
         for what, gains in (("known", known), ("found in the data", found)):
             number = int((gains > least).sum())
             low, high = (int(x) for x in binom.interval(0.99, len(gains), chance))

@@ -10,7 +10,7 @@ from scipy.linalg import toeplitz
 
 from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
-from sightline.estimation.likelihood import default_step, fit_spectrum, spread_of
+from sightline.estimation.likelihood import SPREAD_PLACES, default_step, fit_spectrum, spread_of
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import gain_of_chance, mean_variance_about, mean_variance_unseen
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
@@ -417,10 +417,35 @@ def test_long_lags_leave_fewer_frequencies_to_chance() -> None:
         noise = np.full(len(k), sigma**2)
         return DifferenceSeries(1e-3 * k, np.full(len(k), 1e-3 * lag), np.zeros(len(k)), noise)
 
-    assert spread_of([pair(100)]) == pytest.approx(0.4, rel=1e-4)
-    assert spread_of([pair(1)]) == pytest.approx(0.499, rel=1e-4)
+    assert spread_of([pair(100)], 150.0) == pytest.approx(0.4, rel=1e-4)
+    assert spread_of([pair(1)], 150.0) == pytest.approx(0.499, rel=1e-4)
     # what weighs nothing says nothing
-    assert spread_of([pair(1, 1e3), pair(100)]) == pytest.approx(0.4, rel=1e-4)
+    assert spread_of([pair(1, 1e6), pair(100)], 150.0) == pytest.approx(0.4, rel=1e-4)
+
+
+def test_unlike_lags_tell_frequencies_apart_by_what_each_pair_sees() -> None:
+    # the metric of the waves' directions, from all differences as complex numbers
+    lags, step, count = (0.15, 0.25), 1e-3, 500
+    series = []
+    for lag in lags:
+        t = step * np.arange(count - round(lag / step))
+        ones = np.ones(len(t))
+        series.append(DifferenceSeries(t, lag * ones, 0.0 * ones, ones))
+    middle = np.concatenate([one.t + 0.5 * one.lag for one in series])
+    lag = np.concatenate([one.lag for one in series])
+
+    def direction(f: float) -> np.ndarray:
+        wave = np.sin(np.pi * f * lag) * np.exp(2j * np.pi * f * middle)
+        return np.asarray(wave / np.linalg.norm(wave))
+
+    df, found = 1e-3, []
+    for f in (np.arange(SPREAD_PLACES) + 0.5) / SPREAD_PLACES * 150.0:
+        # of directions so little apart 1 - |<a, b>|^2 is the metric times the angle squared
+        alike = abs(np.vdot(direction(f - 0.5 * df), direction(f + 0.5 * df))) ** 2
+        found.append(np.sqrt(12.0 * (1.0 - alike)) / (2.0 * np.pi * df))
+    assert spread_of(series, 150.0) == pytest.approx(np.mean(found), rel=2e-3)
+    # far more than instants midway tell
+    assert spread_of(series, 150.0) > 1.2 * np.sqrt(12.0 * middle.var())
 
 
 def test_a_sinusoid_beside_a_blind_frequency_is_owned_by_sigma() -> None:

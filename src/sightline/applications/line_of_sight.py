@@ -347,7 +347,7 @@ def _light(state: StripState) -> StripState:
     """A state without what only its own solution needed: the windows of two passes are not held together."""
     records, none = [], np.zeros((0, 0, 2, 0), dtype=np.float32)
     for record in state.records:
-        star = replace(record.star, by_hub=none, by_partner=none, by_static=none)
+        star = replace(record.star, by_hub=none, by_partner=none, by_static=none, uneven=None, uneven_at=None)
         records.append(replace(record, star=star))
     return replace(
         state,

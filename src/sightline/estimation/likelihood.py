@@ -32,6 +32,8 @@ WORK = 6.0e7
 NODES_IN_ROW = 2.0
 #: Steps of a search from each place to start, before tones are looked for.
 FIRST_ITERATIONS = 6
+#: Frequencies at which differences are asked how well they tell them apart.
+SPREAD_PLACES = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +207,7 @@ def fit_spectrum(
         detail * unit**2,
         rate,
         min(s.window_most for s in scaled),
-        spread_of(scaled),
+        spread_of(scaled, 0.3 / grid.step),
     )
     given = None if start is None else NoiseModel.of(start.scaled(1.0 / unit))
     if given is not None and near:
@@ -296,13 +298,28 @@ def _rates(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:
     return tuple(sorted(rates))
 
 
-def spread_of(series: Sequence[DifferenceSeries]) -> float:
-    """Length (s) of data of even weights whose times scatter as those midway between the images' do."""
-    used = [one.used for one in series]
-    middle = np.concatenate([(one.t + 0.5 * one.lag)[u] for one, u in zip(series, used, strict=True)])
-    weight = np.concatenate([1.0 / one.variance[u] for one, u in zip(series, used, strict=True)])
-    mean = np.average(middle, weights=weight)
-    return math.sqrt(12.0 * float(np.average((middle - mean) ** 2, weights=weight)))
+def spread_of(series: Sequence[DifferenceSeries], highest: float) -> float:
+    """Length (s) of data of even weights that tell frequencies up to `highest` (Hz) apart as these do.
+
+    Notes
+    -----
+    By how much a wave's share in all differences, of one size, changes with its frequency: with the instants
+    midway between the two of each difference, and, where lags differ, with what each pair sees of it.
+    """
+    weight = [1.0 / one.variance[one.used] for one in series]
+    middle = [(one.t + 0.5 * one.lag)[one.used] for one in series]
+    about = float(np.average(np.concatenate(middle), weights=np.concatenate(weight)))
+    lag = np.array([np.average(one.lag[one.used], weights=w) for one, w in zip(series, weight, strict=True)])
+    n, first, second = (
+        np.array([w @ (m - about) ** power for w, m in zip(weight, middle, strict=True)])[:, None]
+        for power in range(3)
+    )
+    phase = math.pi * np.outer(lag, (np.arange(SPREAD_PLACES) + 0.5) / SPREAD_PLACES * highest)
+    seen, change = np.sin(phase), 0.5 * lag[:, None] * np.cos(phase)
+    whole = np.maximum((n * seen**2).sum(axis=0), 1e-300)
+    moved = (n * change**2 + second * seen**2).sum(axis=0) / whole
+    alike = ((n * seen * change).sum(axis=0) ** 2 + (first * seen**2).sum(axis=0) ** 2) / whole**2
+    return float(np.sqrt(12.0 * np.maximum(moved - alike, 0.0)).mean())
 
 
 def _tdi(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:

@@ -1022,7 +1022,7 @@ def gain_of_chance(count: float, false_alarm: float) -> float:
     (Baluev 2008, MNRAS 385, 1279, for a periodogram of even weights), and the probability of none its
     exponential. As many independent frequencies as periods would be passed three times too often.
     """
-    expected = -math.log1p(-false_alarm)
+    expected, count = -math.log1p(-false_alarm), max(count, 1.0)
     gain = 1.0
     for _ in range(50):
         gain = max(math.log(count * math.sqrt(math.pi * gain / 3.0) / expected), 1.0)

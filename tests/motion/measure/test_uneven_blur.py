@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from sightline.geometry.camera import PushbroomCamera
@@ -84,6 +85,28 @@ def test_it_changes_with_a_motion_as_the_third_moment_does():
     assert np.abs(np.einsum("gb,gcb->gc", added, changes[:, 0, :, 0])).max() < 0.2 * np.abs(moment).max()
     # a motion alike in all stages adds nothing
     assert_allclose(changes.sum(axis=-1), 0.0, atol=1e-4 * np.abs(changes).max())
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_it_changes_with_a_motion_as_differences_of_displacements_do(axis):
+    # through a filter that compares lines, whose slopes let change from line to line count
+    size = 64
+    f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size))
+    taps = Whitening.from_response(np.hypot(f, 0.05) * np.exp(-0.5 * (f / 0.35) ** 2)).taps_a
+    whitening = Whitening(taps, taps, coherence=np.full((size, 33), 0.5))
+    offsets = PERIOD * np.arange(-16.0, 17.0)
+    base, more = 0.3 * np.sin(2.0 * np.pi * 47.0 * T), np.sin(2.0 * np.pi * 121.0 * T + 0.3)
+    t, _, changes = found(base, whitening, axis=axis, offsets=offsets, lines=9.0)
+    step = 1e-3
+    ahead, behind = (
+        found(base + by * more, whitening, axis=axis, offsets=offsets, lines=9.0)[1] for by in (step, -step)
+    )
+    slope = (ahead - behind) / (2.0 * step)
+    added = 5e-6 * np.interp(t[:, None] + offsets, T, more)
+    change = np.einsum("gb,gcb->gc", added, changes[:, 1, :, axis])
+    # cubic weights of four instants, 1 ms apart: 2 % of waves of 121 Hz
+    assert_allclose(change, slope, atol=0.03 * np.abs(slope).max())
+    assert np.abs(slope).max() > 5e-3
 
 
 def test_the_same_motion_displaces_as_far_on_the_hub_whatever_the_pixels_of_the_partner():

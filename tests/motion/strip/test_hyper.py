@@ -431,6 +431,9 @@ def test_what_blur_shows_of_hidden_motion_is_estimated_and_no_error_of_its_own()
     assert replace(model, blur_shows=False).estimated().spectra == hyper.BROAD.spectra
 
 
+BROAD_SPECTRA = (Spectrum((Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))),) * 3
+
+
 def hidden_estimate(nodes: np.ndarray, variance_of) -> SimpleNamespace:
     """An estimate of `nodes` (count, 3) whose weighted sums err by `variance_of` them."""
     grid = TimeGrid(0.0, STEP, len(nodes))
@@ -473,6 +476,20 @@ def test_a_hidden_tone_of_which_nothing_is_seen_stays_as_it_was() -> None:
     estimate = hidden_estimate(np.zeros((600, 3)), variance_of)
     (after,) = hidden.learned(model, estimate, (0.0, 0.6)).unseen[0]
     assert_allclose((after.sigma, after.frequency, after.bandwidth), (0.2, 126.0, 8.0), rtol=0.02)
+
+
+def test_a_hidden_tone_that_is_not_estimated_is_not_learned() -> None:
+    model = PriorModel(BROAD_SPECTRA, unseen=((Tone(0.2, 126.0, 8.0),), (), ()), blur_shows=False)
+    estimate = hidden_estimate(np.zeros((600, 3)), lambda t, w: np.zeros((w.shape[2],) * 2))
+    assert hidden.learned(model, estimate, (0.0, 0.6)).unseen == model.unseen
+
+
+def test_an_axis_that_hardly_shows_a_hidden_mode_has_it_where_the_loudest_axis_does() -> None:
+    found, guessed, own = Tone(0.15, 121.0, 1.0), Tone(0.03, 143.0, 12.0), Tone(0.12, 118.0, 2.0)
+    model = PriorModel(BROAD_SPECTRA, unseen=((found,), (own,), (guessed,)), blur_shows=True)
+    (roll,), (pitch,), (yaw,) = hidden.of_one_body(model).unseen
+    assert (roll, pitch) == (found, own)
+    assert yaw == Tone(0.03, 121.0, 1.0)
 
 
 def test_only_motion_that_stages_leave_much_of_is_plainly_seen() -> None:

@@ -235,7 +235,7 @@ def match_star(
     blur = None if tdi is None else np.empty((g, k, 2))
     offsets = None
     if tdi_hub is not None and tdi is not None and not strips.searched:
-        offsets = _offsets(camera, grid, max(float(tdi_hub.max()), float(np.nanmax(tdi))))
+        offsets = _offsets(camera, grid, max(float(tdi_hub.max()), float(np.nanmax(tdi, initial=0.0))))
     uneven = None if offsets is None else np.zeros((g, k, 2, 2, 3, len(offsets)), dtype=np.float32)
     status, score = np.empty((g, k), dtype=np.uint8), np.empty((g, k))
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time

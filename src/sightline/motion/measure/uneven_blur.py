@@ -416,8 +416,8 @@ def _slopes_of_stages(moved, count, y, x, slopes, pull, by_y, by_x, out):  # typ
                 first, second = slopes[k, 0], slopes[k, 1]
                 factor = of_y * by_x[i] * pull[k]
                 re, im = factor.real, factor.imag
-                v = re * (1.0 + 0.5 * second * rate * rate) - im * (first * rate - 0.5 * second * bend)
-                r = first * re + second * rate * im
+                v = re * (1.0 - first * rate + 0.5 * second * rate * rate) + im * 0.5 * second * bend
+                r = (second * rate - first) * im
                 c = -0.5 * second * re
                 v0 += v
                 v1 += v * x[i]

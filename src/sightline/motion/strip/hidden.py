@@ -32,6 +32,8 @@ PIECE, MOST_PIECES = 1.0, 3
 NARROWEST = 0.1
 #: A tone is at most as wide as this share of its frequency.
 WIDEST = 0.1
+#: An axis shows a mode of its own where it is this share of the loudest axis', each in its broadband sigmas.
+SHOWS = 0.5
 
 
 def learned(model: PriorModel, estimate: JointEstimate, seen: tuple[float, float]) -> PriorModel:
@@ -40,18 +42,41 @@ def learned(model: PriorModel, estimate: JointEstimate, seen: tuple[float, float
     Parameters
     ----------
     model : PriorModel
-        Whose hidden tones are estimated with the rest.
+        Whose hidden tones are estimated with the rest (`blur_shows`); another comes back as it is.
     estimate : JointEstimate
     seen : (float, float)
         s; first and last instant of its measurements.
     """
     pieces = _pieces(estimate.grid.nodes, seen)
-    if not pieces:
+    if not pieces or not model.blur_shows:
         return model
     roll, pitch, yaw = (
         tuple(_learned(tone, axis, whole, estimate, pieces) for tone in model.unseen[axis])
         for axis, whole in enumerate(model.whole())
     )
+    return of_one_body(replace(model, unseen=(roll, pitch, yaw)))
+
+
+def of_one_body(model: PriorModel) -> PriorModel:
+    """The model with hidden tones of axes that hardly show them where the axis that shows most has them.
+
+    Modes of a body turn it about all of its axes. Across a narrow field blur tells a turn about the track
+    from one about the line of sight no better than they are believed: an axis without a tone there would
+    leave all of it to the other.
+    """
+    count = {len(tones) for tones in model.unseen}
+    if len(count) > 1 or count == {0}:
+        return model
+    loud = [spectrum.components[1].sigma for spectrum in model.spectra]
+    unseen = [list(tones) for tones in model.unseen]
+    for k in range(count.pop()):
+        shown = [unseen[axis][k].sigma / max(loud[axis], 1e-300) for axis in range(3)]
+        first = max(range(3), key=shown.__getitem__)
+        for axis in range(3):
+            if shown[axis] < SHOWS * shown[first]:
+                one = unseen[first][k]
+                unseen[axis][k] = replace(one, sigma=unseen[axis][k].sigma)
+    roll, pitch, yaw = (tuple(tones) for tones in unseen)
     return replace(model, unseen=(roll, pitch, yaw))
 
 
@@ -61,7 +86,7 @@ def _pieces(nodes: Array, seen: tuple[float, float]) -> list[slice]:
     if len(inside) < 2:
         return []
     step = float(nodes[1] - nodes[0])
-    size = min(len(inside), int(PIECE / step))
+    size = min(len(inside), max(2, int(PIECE / step)))
     count = min(len(inside) // size, MOST_PIECES)
     begins = inside[0] + np.linspace(0, len(inside) - size, count).astype(int)
     return [slice(int(begin), int(begin) + size) for begin in begins]
