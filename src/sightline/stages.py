@@ -119,6 +119,7 @@ class Stages:
         """
         found = self.held(name, kind, writeable=True)
         if found is None:
+            self._refuse_others()
             self._since = time.process_time()
             found = compute()
             self.put(name, found)
@@ -189,10 +190,16 @@ class Stages:
         return spent
 
     def _keep(self, name: str, packed: Packed, seconds: float) -> None:
-        """Keep a stage that was computed now.
+        """Keep a stage that was computed now."""
+        self._refuse_others()
+        self.computed.append(name)
+        if self._folder is not None:
+            self._write(name, packed | {_SECONDS: np.array(seconds)})
 
-        Where the user asked to go on, and none of the stages that wait is one of this run's, they are of
-        another command: at the end of this run they would be removed.
+    def _refuse_others(self) -> None:
+        """Where the user asked to go on, and none of the stages that wait is one of this run's: InputError.
+
+        They are of another command, and at the end of this run they would be removed.
         """
         if self._refuse and not (self.found or self.computed or self._passed_over):
             waiting = self._waiting()
@@ -202,9 +209,6 @@ class Stages:
                     "from it; go on with the command that left it, or give another --out, or leave --resume "
                     "out to begin anew"
                 )
-        self.computed.append(name)
-        if self._folder is not None:
-            self._write(name, packed | {_SECONDS: np.array(seconds)})
 
     def has(self, name: str) -> bool:
         """Whether a stage of these inputs is there."""
