@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.estimation.evidence import EvenRate, rate_weights
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import ROUGHLY, SETTLED, NoiseModel, Search, variance_at
+from sightline.estimation.search import HIGHEST, ROUGHLY, SETTLED, NoiseModel, Search, variance_at
 from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
 
 Array = NDArray[np.float64]
@@ -207,7 +207,7 @@ def fit_spectrum(
         detail * unit**2,
         rate,
         min(s.window_most for s in scaled),
-        spread_of(scaled, 0.3 / grid.step),
+        spread_of(scaled, HIGHEST / grid.step),
     )
     given = None if start is None else NoiseModel.of(start.scaled(1.0 / unit))
     if given is not None and near:

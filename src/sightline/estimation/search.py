@@ -54,6 +54,8 @@ SLOWEST = 2.0
 NEAR_RATE = 4.0
 #: Tones nearer than this, in units of one over the length of the data, are one mode, of one axis or of two.
 SAME_TONE = 1.5
+#: Highest frequency of a tone that is looked for, in units of one over the step of the grid.
+HIGHEST = 0.3
 #: Highest frequency of a tone that is looked for, in units of one over the time that a measurement averages
 #: over: a quarter of such a tone is left in it.
 SEEN_THROUGH = 0.8
@@ -193,8 +195,8 @@ class Search:
     window_most : float
         s; over which windows of coarse lines may average, 0 where `window` is what they do.
     spread : float, optional
-        s; length of data of even weights whose times scatter as those of the differences, midway between the
-        two times of each: less than `length` where lags are long. What chance gains counts by it.
+        s; length of data of even weights that tell frequencies apart as these do: less than `length` where
+        lags are long. What chance gains counts by it.
     """
 
     def __init__(
@@ -218,7 +220,7 @@ class Search:
         self._detail = detail
         self._corner = corner
         self._window, self._coarse = window, window_most
-        self._highest = min(0.3 / equations.grid.step, SEEN_THROUGH / max(window, window_most, 1e-12))
+        self._highest = min(HIGHEST / equations.grid.step, SEEN_THROUGH / max(window, window_most, 1e-12))
         # windows that overlap: rows follow each other faster than what they can show
         overlap = window * max(rates, default=0.0) > OVERLAPPING
         self._quickest = QUICKEST * window if overlap else 0.0

@@ -134,8 +134,7 @@ def write_products(
     dtypes = [pixel_type(acquisition, part, pixels) for part in parts]
     step = steps_of(tell, "resampling the bands")
     size = sum(len(part) * dtype.itemsize for part, dtype in zip(parts, dtypes, strict=True))
-    room = stages is not None and _room_for_stages(folder, stages, registration, size)
-    kept = stages if stages is not None and room else Stages()
+    kept = stages if stages is not None and _room_for_stages(folder, stages, registration, size) else Stages()
     reference, grid = registration.reference, grid_of(acquisition, registration.reference)
     valid = write_registered(
         [folder / file for file in files],

@@ -9,7 +9,7 @@ Not here: matching (``matches.py``), the loop over passes (``applications/frame_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -277,17 +277,11 @@ class FrameEstimate:
     def explained(self) -> list[Array]:
         """Covariance (parts, G, K, K) of what the fit takes out of each window's errors, per star.
 
-        Of their parts that are free of heights (`free_of_height`), in units of the matcher's sigma. Residuals
+        Of their parts that are free of heights (`free_directions`), in sigmas of the matcher. Residuals
         are smaller than the errors by what the unknowns and the ground fields follow them.
         """
-        out, first = [], 0
-        for star, line in zip(self.matched, self.stars, strict=True):
-            _, design, height = _rows(star, line, self.unknowns)
-            windows = slice(first, first + len(star.pixels))
-            first = windows.stop
-            levers = (height, across(height))[: len(self.fields)]
-            for lever, field in zip(levers, self.fields, strict=True):
-                design -= lever[..., None] * field.follows[windows][:, None, None, :]
+        out = []
+        for line, windows, design, levers in self.followed():
             parts = []
             for direction in free_directions(line, bool(self.fields)):
                 rows = np.einsum("gkc,gkcp->gkp", direction, design)
@@ -299,6 +293,21 @@ class FrameEstimate:
                 parts.append(covariance)
             out.append(np.stack(parts))
         return out
+
+    def followed(self) -> Iterator[tuple[Star, slice, Array, tuple[Array, ...]]]:
+        """Per star: it, its windows among all, what its matches show of the unknowns, and of each field.
+
+        Of the unknowns, (G, K, 2, P), less what the ground fields take of them; of a field, (G, K, 2).
+        """
+        first = 0
+        for star, line in zip(self.matched, self.stars, strict=True):
+            _, design, height = _rows(star, line, self.unknowns)
+            windows = slice(first, first + len(star.pixels))
+            first = windows.stop
+            levers = (height, across(height))[: len(self.fields)]
+            for lever, field in zip(levers, self.fields, strict=True):
+                design -= lever[..., None] * field.follows[windows][:, None, None, :]
+            yield line, windows, design, levers
 
     def per_star(self, values: NDArray[Scalar]) -> list[NDArray[Scalar]]:
         """Values of all windows (sum of G,) cut into stars."""
@@ -518,15 +527,9 @@ class _Solver:
 def _influence(estimate: FrameEstimate) -> Influence:
     """Influence of every match, ground field and prior mean on the unknowns."""
     unknowns, noise, posterior = estimate.unknowns, estimate.noise, estimate.posterior
-    first, gains = 0, []
+    gains: list[Array] = []
     moved: list[list[Array]] = [[] for _ in estimate.fields]
-    for star, line in zip(estimate.matched, estimate.stars, strict=True):
-        _, design, height = _rows(star, line, unknowns)
-        windows = slice(first, first + len(star.pixels))
-        first = windows.stop
-        levers = (height, across(height))[: len(estimate.fields)]
-        for lever, field in zip(levers, estimate.fields, strict=True):
-            design -= lever[..., None] * field.follows[windows][:, None, None, :]
+    for line, _, design, levers in estimate.followed():
         weighed = np.einsum("gkl,glcp->gkcp", match_information(line, noise), design, optimize=True)
         gains.append(weighed @ posterior)
         # a true field acts through the matches that it moves

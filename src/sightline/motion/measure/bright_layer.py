@@ -105,9 +105,7 @@ def bright_windows(
 def _departing_brightness(
     shifts: RowShifts, brightness: Array, seen: Flags, step: float, least_px: float
 ) -> float | None:
-    """Mean brightness of windows that, wherever in the strip, depart alike from darker ones of their row.
-
-    By `least_px` or more.
+    """Mean brightness of windows that, all over the strip, depart alike, by `least_px`, from darker ones.
 
     Every split into bright and dark windows gives one difference of their shifts, with level and tilt of
     each row left out; its standard error is that over stretches of the strip (jackknife).

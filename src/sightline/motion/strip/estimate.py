@@ -167,8 +167,8 @@ def solve_strip(
         ]
         return [s.residual_px + m for s, m in zip(stars, moved, strict=True)]
 
-    about = nodes
-    if model is strip.broad and any(s.uneven is not None for s in stars):
+    about, uneven = nodes, any(s.uneven is not None for s in stars)
+    if uneven and model is strip.broad:
         about = plainly_seen(strip, nodes)
         stars = _blurred_anew(strip, records, stars, about, statics)
     measured = moved_back(stars, about)
@@ -244,7 +244,7 @@ def solve_strip(
         if settled and jumps:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
         earlier = post
-        if any(s.uneven is not None for s in stars):
+        if uneven:
             if any(model.unseen):
                 model = learned(model, estimate, _span(stars))
                 prior = replace(prior, angles=model.estimated().processes(grid))

@@ -194,17 +194,17 @@ def _expand(product, w, compact, statics, instants, support, n_local, local):  #
 
 
 @njit(cache=True, nogil=True)
-def _add_uneven(uneven, at, t, factor, first, start, step, support, out):  # type: ignore[no-untyped-def]
+def _add_uneven(uneven, at, t, first, start, step, support, out):  # type: ignore[no-untyped-def]
     """Add weights (3, B) at instants `at` beside `t` to `out` (3, support) of the nodes from `first` on."""
     for b in range(len(at)):
         x = (t + at[b] - start) / step
         node = min(max(int(math.floor(x)) - 1, first), first + support - 4)
         u = x - node
         o = node - first
-        w0 = -(u - 1) * (u - 2) * (u - 3) / 6 * factor
-        w1 = u * (u - 2) * (u - 3) / 2 * factor
-        w2 = -u * (u - 1) * (u - 3) / 2 * factor
-        w3 = u * (u - 1) * (u - 2) / 6 * factor
+        w0 = -(u - 1) * (u - 2) * (u - 3) / 6
+        w1 = u * (u - 2) * (u - 3) / 2
+        w2 = -u * (u - 1) * (u - 3) / 2
+        w3 = u * (u - 1) * (u - 2) / 6
         for axis in range(3):
             value = uneven[axis, b]
             out[axis, o] += w0 * value
@@ -321,7 +321,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
                         added[:] = 0.0
                         at = t_hub[g] if side == 0 else t[g, k]
                         _add_uneven(
-                            uneven[g, k, side, c], uneven_at, at, 1.0, first[q], start, step, support, added
+                            uneven[g, k, side, c], uneven_at, at, first[q], start, step, support, added
                         )
                         for axis in range(3):
                             for m in range(support):
@@ -505,7 +505,7 @@ def _modelled(  # type: ignore[no-untyped-def]
                         whole = tdi[g, k]
                     first = _window_weights(at, spans, whole, start, step, count, support, w)
                     added[:] = 0.0
-                    _add_uneven(uneven[g, k, side, c], uneven_at, at, 1.0, first, start, step, support, added)
+                    _add_uneven(uneven[g, k, side, c], uneven_at, at, first, start, step, support, added)
                     for axis in range(3):
                         for m in range(support):
                             total += added[axis, m] * nodes[first + m, axis]
