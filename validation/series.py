@@ -27,7 +27,7 @@ from motion.estimators.s1_combinations import max_band
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.likelihood import fit_spectrum, spread_of
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import HIGHEST, NoiseModel, Search, gain_of_chance
+from sightline.estimation.search import HIGHEST, NoiseModel, Search
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 from sightline.estimation.split import split
 from sightline.motion.estimators.differences import AngleDifferences
@@ -430,12 +430,15 @@ def toneless(count: int) -> None:
             )
         return out
 
-    def strongest(series: list[DifferenceSeries]) -> float:
+    scaled_spectrum = spectrum.scaled(1.0 / sigma)
+
+    def search_of(series: list[DifferenceSeries]) -> Search:
         scaled = [replace(s, values=s.values / sigma, variance=s.variance / sigma**2) for s in series]
-        known = spectrum.scaled(1.0 / sigma)
-        equations = series_equations(scaled, Grid(0.0, STEP, short), spectrum=known)
-        search = Search(equations, 1.0, False, STEP * short, spread=spread_of(scaled, HIGHEST / STEP))
-        found = search.unexplained_tones(NoiseModel.of(known), 0.999)
+        equations = series_equations(scaled, Grid(0.0, STEP, short), spectrum=scaled_spectrum)
+        return Search(equations, 1.0, False, STEP * short, spread=spread_of(scaled, HIGHEST / STEP))
+
+    def strongest(series: list[DifferenceSeries]) -> float:
+        found = search_of(series).unexplained_tones(NoiseModel.of(scaled_spectrum), 0.999)
         return found[0][1] if found else 0.0
 
     known = np.array([strongest(drawn()) for _ in range(count)])
@@ -443,8 +446,9 @@ def toneless(count: int) -> None:
     found = np.array(
         [max(fit_spectrum(drawn(), false_alarm=0.1).significance, default=0.0) for _ in range(fitted)]
     )
+    search = search_of(drawn())
     for chance in (0.1, 0.01, 0.001):
-        least = gain_of_chance(HIGHEST / STEP * spread_of(drawn(), HIGHEST / STEP), chance)
+        least = search.gain_of_chance(chance)
         for what, gains in (("known", known), ("found in the data", found)):
             number = int((gains > least).sum())
             low, high = (int(x) for x in binom.interval(0.99, len(gains), chance))

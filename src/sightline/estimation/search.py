@@ -234,7 +234,7 @@ class Search:
 
     def gain_of_chance(self, false_alarm: float) -> float:
         """Log-likelihood that noise alone gains somewhere with that probability; see the function."""
-        return gain_of_chance(self._highest * self._spread, false_alarm)
+        return gain_of_chance((self._highest - SLOWEST / self._length) * self._spread, false_alarm)
 
     def use(self, equations: SeriesEquations) -> None:
         """Go on with other equations on the same grid."""
