@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -216,3 +218,34 @@ def test_a_quote_within_a_cell_is_part_of_it(tmp_path):
 )
 def test_decimal_commas_and_dates_are_recognised(tmp_path, text, words):
     assert words in message(tables.read_positions, csv(tmp_path, text))
+
+
+class TestControlPointsAtOnePixel:
+    """A point that stands twice would count twice."""
+
+    ROWS = "x,y,z,sigma,image,line,column\n0,0,0,1,a,10,20\n5,0,0,1,b,10,20\n"
+
+    def test_two_images_may_show_one_pixel(self, tmp_path):
+        assert tables.read_control_points(csv(tmp_path, self.ROWS)).image == ["a", "b"]
+
+    def test_a_row_that_stands_twice_is_refused(self, tmp_path):
+        said = message(tables.read_control_points, csv(tmp_path, self.ROWS + "0,0,0,1,a,10,20\n"))
+        assert said.startswith("row 3 of ") and "is at the pixel of row 1 of " in said
+        assert "line 10, column 20 of 'a'" in said
+
+    def test_one_that_is_listed_and_in_the_table_too_is_refused(self, tmp_path):
+        @dataclass
+        class Entry:
+            x: float = 0.0
+            y: float = 0.0
+            z: float = 0.0
+            sigma: float = 1.0
+            image: str = "b"
+            line: float = 10.0
+            column: float = 20.0
+
+        path = csv(tmp_path, self.ROWS)
+        said = message(lambda table: tables.control_points([Entry()], table), path)
+        assert said.startswith(f"row 2 of {path} is at the pixel of [[control_point]] 1")
+        said = message(lambda listed: tables.control_points(listed, None), [Entry(), Entry()])
+        assert said.startswith("[[control_point]] 2 is at the pixel of [[control_point]] 1")

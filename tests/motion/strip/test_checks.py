@@ -49,6 +49,13 @@ def test_lines_that_average_over_most_of_the_strip_are_refused(strip):
         checked(of(201), RecoverOptions())
 
 
+def test_weights_that_no_band_predicts_are_refused(strip):
+    predicted = RecoverOptions(weighting="predicted")
+    assert refused(strip, predicted).startswith('`weighting` of [matching] is "predicted", but no band says')
+    one = replace(strip.bands[1], match_sigma=np.ones(SHAPE[1]))
+    checked(replace(strip, bands=(strip.bands[0], one, *strip.bands[2:])), predicted)
+
+
 class TestKnownMotion:
     # 401 lines, 400 periods of 0.5 ms: 5 Hz to 1000 Hz
     @pytest.mark.parametrize("tone", [1e-3, 4.9, 0.5 / PERIOD, 5e6])

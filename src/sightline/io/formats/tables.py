@@ -507,12 +507,29 @@ def read_control_points(path: Path, *, stereo: bool = False) -> ControlTable:
     sigma = sigma_columns(path, table, ["sigma"], LENGTH_SIGMA)[:, 0]
     if _EACH[2] in own:
         sigma = sigma_columns(path, table, _EACH[2:], LENGTH_SIGMA)[:, 0]
+    pixels = _each_once(images, _matrix(table, ("line", "column")), path)
     return ControlTable(
-        _matrix(table, "xyz"), sigma, None, images, _matrix(table, ("line", "column")),
+        _matrix(table, "xyz"), sigma, None, images, pixels,
         sigma_columns(path, table, ["sigma_px"], PIXEL_SIGMA)[:, 0] if "sigma_px" in own else None,
         _window_lines(path, table) if "lines" in own else None,
         sigma_columns(path, table, _EACH[:2], PIXEL_SIGMA) if _EACH[0] in own else None,
     )  # fmt: skip
+
+
+def _each_once(images: Sequence[str], pixels: Array, table: Path | None, listed: int = 0) -> Array:
+    """The pixels (N, 2) of control points, `listed` ones first, of which none stands twice in an image."""
+    first: dict[tuple[str, float, float], int] = {}
+    for row, place in enumerate(zip(images, *pixels.T.tolist(), strict=True)):
+        if first.setdefault(place, row) != row:
+            one, again = (
+                f"[[control_point]] {k + 1}" if k < listed else f"row {k - listed + 1} of {table}"
+                for k in (first[place], row)
+            )
+            raise FormatError(
+                f"{again} is at the pixel of {one}: line {place[1]:g}, column {place[2]:g} of {place[0]!r}; "
+                "it would count twice: keep one of them"
+            )
+    return pixels
 
 
 def _window_lines(path: Path, table: Mapping[str, list[str] | Array]) -> Array:
@@ -542,10 +559,12 @@ class ControlEntry(Protocol):
 
 def control_points(listed: Sequence[ControlEntry], table: Path | None) -> ControlTable | None:
     """Control points that a TOML file lists and those of the table that it names; None if there are none."""
+    images = [p.image for p in listed]
+    pixels = np.array([(p.line, p.column) for p in listed], dtype=np.float64).reshape(-1, 2)
     own = ControlTable(
         np.array([(p.x, p.y, p.z) for p in listed], dtype=np.float64).reshape(-1, 3),
-        np.array([p.sigma for p in listed], dtype=np.float64), None, [p.image for p in listed],
-        np.array([(p.line, p.column) for p in listed], dtype=np.float64).reshape(-1, 2), None,
+        np.array([p.sigma for p in listed], dtype=np.float64), None, images,
+        _each_once(images, pixels, None, len(listed)), None,
     )  # fmt: skip
     if table is None:
         return own if len(listed) else None
@@ -558,9 +577,11 @@ def control_points(listed: Sequence[ControlEntry], table: Path | None) -> Contro
             "put all into the table"
         )
     lines = None if read.lines is None else np.concatenate([np.ones(len(listed)), read.lines])
+    images = images + read.image
+    pixels = _each_once(images, np.concatenate([pixels, read.pixels]), table, len(listed))
     return ControlTable(
         np.concatenate([own.position, read.position]), np.concatenate([own.sigma, read.sigma]), None,
-        own.image + read.image, np.concatenate([own.pixels, read.pixels]), None, lines,
+        images, pixels, None, lines,
     )  # fmt: skip
 
 

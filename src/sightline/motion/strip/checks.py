@@ -41,6 +41,11 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
         average over most of the strip.
     """
     _check_stages(strip)
+    if options.weighting == "predicted" and all(band.match_sigma is None for band in strip.bands):
+        raise InputError(
+            '`weighting` of [matching] is "predicted", but no band says what to expect; give a [[band]] its '
+            "quality, or leave weighting out"
+        )
     if len(strip.bands) > 1:
         _check_windows(strip, options)
         _check_common_ground(strip, options)
