@@ -29,7 +29,7 @@ from sightline.motion.strip.fusion import (
     tie,
     unfelt_tones,
 )
-from sightline.motion.strip.hidden import learned
+from sightline.motion.strip.hidden import learned, with_shown_mode
 from sightline.motion.strip.hyper import ORDER, PriorModel
 from sightline.motion.strip.joint import (
     CONSTANT_SIGMA,
@@ -225,6 +225,8 @@ def solve_strip(
         ]
         return found, [m - w for m, w in zip(clear, whole, strict=True)], without
 
+    averaged = sorted({each for camera in strip.nominal for each in camera.stage_times})
+    news = False
     estimate, post, without = solution()
     for _ in range(rounds):
         ground = ground_weights(stars, post, beside)
@@ -245,15 +247,18 @@ def solve_strip(
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
         earlier = post
         if uneven:
-            if any(model.unseen):
-                model = learned(model, estimate, _span(stars))
+            if model.blur_shows:
+                # what was found last is in the blur of the next estimate only
+                more = model if news else with_shown_mode(model, estimate, _span(stars), averaged)
+                news = more is not model
+                model = more if news else learned(model, estimate, _span(stars))
                 prior = replace(prior, angles=model.estimated().processes(grid))
             about = estimate.nodes if settled else plainly_seen(strip, estimate.nodes)
             stars = _blurred_anew(strip, records, stars, about, estimate.statics)
             measured = moved_back(stars, about)
         del estimate, without  # long strips hold one solution at a time
         estimate, post, without = solution()
-        same = _same_jumps(jumped, prior.innovation_weights) and _same_sizes(unlearned, slow)
+        same = not news and _same_jumps(jumped, prior.innovation_weights) and _same_sizes(unlearned, slow)
         if same and _moved(stars, earlier, post) < STILL:
             break
     if unknown_relief:

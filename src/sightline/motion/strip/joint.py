@@ -253,6 +253,29 @@ class JointEstimate:
         x, _ = _held(factor, self._data, self._prior, x, y)
         return np.asarray(x.reshape(self.grid.count, -1)[:, :3])
 
+    def shown_of(self, motions: Array) -> tuple[Array, Array]:
+        """What images and sensors show of `motions` (count, 3, K) beside the estimate and its prior.
+
+        Returns
+        -------
+        score : (K,)
+            Slope of the log-likelihood by how much there is of each, at none.
+        information : (K, K)
+            Its mean bend: of a motion a score of no such motion is Gaussian with this covariance.
+        """
+        data, block, many = self._data, self._data.block, motions.shape[2]
+        laid = np.zeros((self.grid.count, block, many))
+        laid[:, :3] = motions
+        flat = laid.reshape(-1, many)
+        top, bottom = data.times(flat)
+        beside = np.concatenate([self.statics, self.slow, self.own])
+        score = flat.T @ data.rhs - top.T @ self.unknowns().ravel() - bottom.T @ beside
+        factor = self._factor(constants=False)
+        border = np.zeros((factor.q, many))
+        border[: len(bottom)] = bottom
+        x, y = factor.solve(top, border)
+        return score, np.asarray(flat.T @ top - top.T @ x - border.T @ y)
+
     def relief_sigma(self) -> Array:
         """Sigma (count, 2) m of the relief, constants of the motion held."""
         block = self._data.block
