@@ -575,6 +575,35 @@ def test_the_motion_moves_by_what_more_in_the_measurements_moves_it() -> None:
     np.testing.assert_allclose(moved, difference, rtol=0, atol=1e-8 * np.abs(difference).max())
 
 
+@pytest.mark.parametrize("relief", [False, True])
+def test_what_rows_show_of_a_wave_is_the_slope_and_bend_of_the_dense_likelihood(relief: bool) -> None:
+    star, grid = small_star(2), TimeGrid(0.0, STEP, COUNT)
+    prior, dense = make_prior(relief)
+    data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()], relief=relief)
+    # waves about which means and drifts, known by themselves, say nothing: eight periods, tapered
+    t = grid.nodes / (STEP * COUNT)
+    waves = np.zeros((COUNT, 3, 4))
+    waves[:, 0, 0], waves[:, 0, 1] = (f(16.0 * np.pi * t) * np.sin(np.pi * t) ** 2 for f in (np.cos, np.sin))
+    waves[:, 1, 2], waves[:, 2, 3] = waves[:, 0, 0], waves[:, 0, 1]
+    score, information = solve_joint(data, prior).shown_of(waves)
+
+    rows, y, noise = dense_rows(star, relief)
+    block = 5 if relief else 3
+    size = COUNT * block
+    k = np.zeros((size + 2, size + 2))
+    for axis in range(block):
+        k[axis:size:block, axis:size:block] = dense[axis]
+    k[size:, size:] = np.diag(prior.statics_sigma**2)
+    laid = np.zeros((COUNT, block, 4))
+    laid[:, :3] = waves
+    seen = rows[:, :size] @ laid.reshape(size, 4)
+    weighed = np.linalg.solve(rows @ k @ rows.T + noise, seen)
+    expected = weighed.T @ seen
+    # the mean of the motion is held in the one and the free in the other: some thousandths
+    np.testing.assert_allclose(information, expected, rtol=0, atol=0.01 * expected.max())
+    np.testing.assert_allclose(score, weighed.T @ y, rtol=0, atol=0.05 * np.sqrt(expected.max()))
+
+
 def test_rows_far_apart_add_what_they_add_alone_and_hold_no_band_between_them() -> None:
     star, many = small_star(), TimeGrid(0.0, STEP, 20 * COUNT)
     early, late = (slice(0, 6), slice(114, 120))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from sightline.estimation.prior import Tone
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
-from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
 from sightline.motion.strip.strip import RecoverOptions, prepared
-from sightline.motion.strip.warnings import _far_off, out_of_step
+from sightline.motion.strip.warnings import _far_off, _large_hidden, out_of_step
 from sightline.simulate.scenarios import line_of_sight_case
 
 
@@ -59,3 +61,14 @@ def test_stages_that_do_not_follow_the_ground_are_named(period: float, smear: st
     said = out_of_step(strip)
     assert len(said) == (0 if smear is None else 4)
     assert all("smears over " in one and smear in one and "4 TDI stages" in one for one in said)
+
+
+def test_hidden_modes_too_large_for_their_blur_are_named_with_axis_frequency_and_size() -> None:
+    strip = SimpleNamespace(scale=np.array([5e-6, 5e-6, 4e-5]))
+    large, usual = Tone(1.5e-6, 47.2, 1.0), Tone(4e-7, 121.0, 0.3)
+    model = PriorModel(BROAD.spectra, unseen=((usual, large), (), (large,)), blur_shows=True)
+    (said,) = _large_hidden(strip, SimpleNamespace(model=model))
+    # 1.5e-6 rad are .3 px of roll, and of yaw .04
+    assert "average away 47 Hz of roll (0.3 px): " in said
+    for quiet in (replace(model, blur_shows=False), replace(model, unseen=((usual,), (), (large,)))):
+        assert _large_hidden(strip, SimpleNamespace(model=quiet)) == []

@@ -41,6 +41,9 @@ OUT_OF_STEP_PX = 0.5
 #: Modes are not unlikely up to so many times the highest frequency of those that are seen.
 NOT_FAR = 1.5
 
+#: px; hidden modes beyond this blur by phases of a radian, of which steps about an estimate may go astray.
+LARGE_HIDDEN_PX = 0.2
+
 #: px; jitter that one detector line hardly ever has.
 WILD_PX = 5.0
 #: Sigmas stated beforehand by which what was found may be off, unsaid.
@@ -146,6 +149,25 @@ def _averaged_away(strip: Strip, state: StripState) -> list[str]:
         f"windows in the long lines of {', '.join(names)} average away motion above {highest:.0f} Hz: modes "
         f"there, not unlikely beside those of {', '.join(map(str, seen))} Hz, show in no image, and "
         "sigma holds of them only what is likely; a pair of bands of shorter lines would show them"
+    ]
+
+
+def _large_hidden(strip: Strip, state: StripState) -> list[str]:
+    """Modes that TDI averages away and that are so large that their blur may not show them as they are."""
+    if not state.model.blur_shows:
+        return []
+    large = [
+        f"{tone.frequency:.0f} Hz of {axis} ({tone.sigma / size:.2g} px)"
+        for axis, size, tones in zip(("roll", "pitch", "yaw"), strip.scale, state.model.unseen, strict=True)
+        for tone in tones
+        if tone.sigma > LARGE_HIDDEN_PX * size
+    ]
+    if not large:
+        return []
+    return [
+        f"the TDI stages average away {', '.join(large)}: only their blur shows them, and of modes so large "
+        "not in proportion, so that they, and what is near their sums and differences with others, may be "
+        "wrong by as much as that, which sigma does not hold; fewer stages would show them"
     ]
 
 
@@ -314,7 +336,7 @@ def strip_warnings(
             "interpolated, its sigma grown"
         )
     out += out_of_step(strip)
-    out += _averaged_away(strip, state)
+    out += _averaged_away(strip, state) + _large_hidden(strip, state)
     out += _far_off(strip, state, motion)
     out += _sensor_warnings(strip, state.estimate)
     out += shape_warnings(strip, state)
