@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import RectBivariateSpline
 from scipy.stats import chi2
 from tests.motion import pinholes
 
@@ -20,6 +21,7 @@ from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_noise
 from sightline.motion.frames.passes import FrameOptions, _drifting, _weighed
+from sightline.motion.frames.repeated import learn_repeated
 from sightline.motion.frames.solve import FrameUnknowns, solve_frames, time_statics
 from sightline.motion.statics import frame_statics
 
@@ -211,6 +213,65 @@ def test_pairs_of_one_lag_agree_with_chains_of_another_within_their_sigmas():
     assert 0.5 * low < total < high  # the bias floor again
     with pytest.raises(InputError, match="no pairs of frames at lag 2"):
         closure(matches, found, Plane(), 2)
+
+
+def patterned(angles, seed: int, size: float):
+    """Matches of images shifted by a pattern of `size` px, fixed to the detector, finer than the grid."""
+    rng = np.random.default_rng(seed)
+    nodes = [np.arange(-20.0, length + 20.0, 12.0) for length in pinholes.SHAPE]
+    drawn = rng.standard_normal((2, *(len(axis) for axis in nodes)))
+    fields = [RectBivariateSpline(*nodes, one) for one in drawn]
+    every = [np.linspace(20, length - 20, 60) for length in pinholes.SHAPE]
+    scale = size / np.sqrt(np.mean([field(*every) ** 2 for field in fields]))
+
+    def shift(pixels):
+        at = np.nan_to_num(pixels)
+        return scale * np.stack([field.ev(at[..., 0], at[..., 1]) for field in fields], axis=-1)
+
+    return [
+        replace(star, measured=star.measured + shift(star.measured) - shift(star.pixels)[:, None])
+        for star in pinholes.stars(angles, rng=rng)
+    ]
+
+
+def test_a_pattern_fixed_to_the_detector_is_found_in_what_repeats_from_frame_to_frame():
+    truth = walk(9, step=1e-5)
+    unknowns = FrameUnknowns(pinholes.cameras(9), ())
+    sizes = []
+    for seed in range(6):
+        for size in (0.0, 0.02):
+            stars, noise = patterned(truth, seed, size), FrameNoise.start(LAGS)
+            for _ in range(4):
+                found = solve_frames(stars, unknowns, Plane(), noise)
+                noise = learn_noise(found.stars, found.clean_px, found.explained(), LAGS, noise)
+                noise = replace(noise, repeated_px=learn_repeated(found))
+            sizes.append(noise.repeated_px)
+    assert max(sizes[::2]) < 0.004  # where there is none
+    # windows a little apart share less of it than their pixels: a fifth less
+    assert 0.013 < np.mean(sizes[1::2]) < 0.022
+
+
+def test_attitudes_are_known_as_well_as_said_where_a_pattern_repeats():
+    truth, size = walk(9, step=1e-5), 0.02
+    unknowns = FrameUnknowns(pinholes.cameras(9), ())
+    squares: dict[float, list[float]] = {0.0: [], size: []}
+    for seed in range(60):
+        stars = patterned(truth, seed, size)
+        for owned, found_squares in squares.items():
+            # the matcher says 0.02 px of both images; the pattern is as much again of each
+            level = 1.0 if owned else 3.0
+            gamma = level * (0.5 + 0.5 * np.eye(3))
+            noise = FrameNoise(LAGS, gamma, 1.0 / 6.0 if owned else 0.5, (), owned)
+            found = solve_frames(stars, unknowns, Plane(), noise)
+            mean = np.zeros((3, 27))
+            for axis in range(3):
+                mean[axis, 24 + axis], mean[axis, axis] = 1.0, -1.0  # from the first frame to the last
+            error = mean @ (found.angles - truth).ravel()
+            covariance = mean @ found.angle_covariance @ mean.T
+            found_squares.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)
+    # 180 numbers: mean squares to a tenth
+    assert np.mean(squares[0.0]) > 1.6
+    assert 0.75 < np.mean(squares[size]) < 1.3
 
 
 def test_the_error_model_is_learned_from_the_residuals():

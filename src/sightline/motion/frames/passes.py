@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from sightline.motion.band import Frame
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.matches import FramePlan, FrameStar, kept_matches, match_neighbours
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_field, learn_noise
+from sightline.motion.frames.repeated import learn_repeated
 from sightline.motion.frames.solve import FrameEstimate, FrameUnknowns, solve_frames
 from sightline.motion.frames.start import (
     MAX_TURN,
@@ -145,10 +146,15 @@ class FramePasses:
 
 @dataclass(frozen=True, eq=False)
 class PassState:
-    """What one pass hands to the next."""
+    """What one pass hands to the next.
+
+    `drifting` are the windows (G,) of each hub that lie on clouds: what was found so stays so, or passes do
+    not settle. None while lens and relief are not known yet.
+    """
 
     estimate: FrameEstimate
     stars: tuple[FrameStar, ...]
+    drifting: Mapping[int, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 def masked(sequence: FramePasses, shifts: Sequence[CoarseShift]) -> FramePasses:
@@ -250,14 +256,18 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
     )
     fields = _ground_fields(sequence, before.estimate, plan)
     if number == 0:
-        field = LensField.over(sequence.shape, FIELD_START_PX) if sequence.free_lens else None
-        unknowns = sequence.unknowns(field)
+        lens_field = LensField.over(sequence.shape, FIELD_START_PX) if sequence.free_lens else None
+        unknowns = sequence.unknowns(lens_field)
         x = np.concatenate([before.estimate.x, np.zeros(unknowns.size - len(before.estimate.x))])
         noise = FrameNoise.start(options.lags, fields, scale=3.0)
     else:
         unknowns, x = before.estimate.unknowns, before.estimate.x
         noise = replace(before.estimate.noise, fields=fields)
-    drifting = [np.zeros(len(star.pixels), dtype=bool) for star in stars]
+    none = np.zeros(len(stars[0].pixels), dtype=bool)
+    drifting = [before.drifting.get(star.hub, none) for star in stars]
+    stars = [
+        s.with_weight(np.where(far[:, None], 0.0, s.weight)) for s, far in zip(stars, drifting, strict=True)
+    ]
     for _ in range(ROUNDS):
         estimate = solve_frames(stars, unknowns, sequence.surface, noise, x, steps=2)
         x = estimate.x
@@ -274,7 +284,8 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
                 unknowns, field=unknowns.field.learned(x[rows], estimate.posterior[rows, rows])
             )
     estimate = solve_frames(stars, unknowns, sequence.surface, noise, x, steps=2)
-    return PassState(estimate, tuple(stars))
+    found = {star.hub: far for star, far in zip(stars, drifting, strict=True)} if number else {}
+    return PassState(estimate, tuple(stars), found)
 
 
 def _weighed(
@@ -297,11 +308,11 @@ def _drifting(
     """Windows on clouds: their drift, smoothed over neighbours, stands far out of what still ground shows."""
     if not estimate.fields:
         return before
-    field = estimate.fields[1]
-    used = field.precision > 0
-    centre = float(np.median(field.value[used]))
-    spread = robust_sigma(field.value[used] - centre)
-    far = used & (np.abs(field.value - centre) > most * max(spread, 1e-9))
+    drift = estimate.fields[1]
+    used = drift.precision > 0
+    centre = float(np.median(drift.value[used]))
+    spread = robust_sigma(drift.value[used] - centre)
+    far = used & (np.abs(drift.value - centre) > most * max(spread, 1e-9))
     return [old | new for old, new in zip(before, estimate.per_star(far), strict=True)]
 
 
@@ -331,4 +342,4 @@ def _learned(estimate: FrameEstimate, lags: Sequence[int]) -> FrameNoise:
         learn_field(estimate.ground, found.alone, found.precision, law)
         for found, law in zip(estimate.fields, noise.fields, strict=True)
     )
-    return replace(noise, fields=fields)
+    return replace(noise, fields=fields, repeated_px=learn_repeated(estimate))
