@@ -103,16 +103,24 @@ class _Alone:
 
 
 def _alone(stars: Sequence[FrameStar], estimate: FrameEstimate, surface: Surface, lag: int) -> _Alone:
-    """Attitudes from pairs at one lag, lens and clock as all lags together have them."""
+    """Attitudes from pairs at one lag, lens and clock as all lags together have them.
+
+    What pairs of that lag err alike is not corrected: it would make lags agree that do not.
+    """
     some = [part for part in (star.of_lags((lag,)) for star in stars) if part is not None]
     if not some:
         raise InputError(f"no pairs of frames at lag {lag} were matched; allowed are those in `stars`")
     unknowns, fixed = estimate.unknowns, 3 * estimate.unknowns.frames
-    found = solve_frames(some, unknowns, surface, estimate.noise, estimate.x, steps=3, fixed=fixed)
+    x, turns = estimate.x.copy(), unknowns.of_turns
+    x[turns] = 0.0
+    found = solve_frames(some, unknowns, surface, estimate.noise, x, steps=3, fixed=fixed)
     # an error of the constants that were taken for true moves the attitudes: -C N error
     response = np.zeros((unknowns.size, unknowns.size))
     response[:fixed, fixed:] = -np.linalg.solve(
         (found.information + unknowns.prior_precision())[:fixed, :fixed], found.information[:fixed, fixed:]
     )
+    uncorrected = -response[:, turns].T
+    response[:, turns] = 0.0
     constants = estimate.influence.through(response)
+    constants.prior[turns] += uncorrected
     return _Alone(found.x, found.influence.spread_over(estimate.influence.stars).plus(constants))

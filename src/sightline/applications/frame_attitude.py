@@ -30,6 +30,7 @@ from sightline.motion.frames.passes import (
     FramePasses,
     PassState,
     first_pass,
+    lags_owned,
     masked,
     next_pass,
     start,
@@ -140,7 +141,7 @@ def recover_frame_attitude(
         state = refined
         if changes[-1] < sequence.options.tolerance:
             break
-    return _result(sequence, state, changes)
+    return _result(sequence, lags_owned(surface, state), changes)
 
 
 def mount_by_motion(frames: Sequence[Frame], surface: Surface) -> FixedMount:
@@ -310,6 +311,19 @@ def _warnings(
                 f"{name} from frame to frame is known to {sigma[axis]:.2g} px only: uncertain times, or a "
                 "free lens, imitate it; give times or focal length with a smaller sigma"
             )
+    turns = state.estimate.unknowns.turns
+    if turns is not None:
+        found = ", ".join(
+            f"{name} by {turns.sigma[axis] / scale[axis]:.2g} px (chi-square {turns.chi_square[axis]:.0f} of "
+            f"{len(turns.lags) - 1} numbers)"
+            for axis, name in enumerate(("roll", "pitch", "yaw"))
+            if turns.disagree[axis]
+        )
+        out.append(
+            f"pairs of frames farther apart tell other attitudes than neighbours do: {found}, alike in all "
+            "pairs of one lag; it is estimated and part of every sigma; clouds and dust that drift are a "
+            "cause: mask them"
+        )
     field = state.estimate.unknowns.field
     if field is not None and field.sigma_px > 0.05:
         out.append(

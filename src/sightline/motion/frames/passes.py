@@ -21,6 +21,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource, MaskedImage
 from sightline.motion.band import Frame
+from sightline.motion.frames.lag_turns import LagTurns
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.matches import FramePlan, FrameStar, kept_matches, match_neighbours
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_field, learn_noise
@@ -53,6 +54,8 @@ FIELD_START_PX = 0.1
 MAX_HEIGHTS = 2400
 #: Start value of drift (clouds) in heights of the same effect, as a share of the relief's.
 DRIFT_SHARE = 0.1
+#: Turns (px) of all pairs of one lag: sigma while they are let go, and the least one where lags disagree.
+FREE_TURN_PX, LEAST_TURN_PX = 1.0, 1e-3
 #: Rounds of solving, weighing and learning within a pass.
 ROUNDS = 3
 
@@ -279,13 +282,37 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
             ties = ties.weighed(estimate.cameras, unknowns.statics, unknowns.lens_at_control())
             unknowns = replace(unknowns, ties=ties)
         if unknowns.field is not None:
-            rows = slice(unknowns.lens, None)
+            rows = unknowns.of_field
             unknowns = replace(
                 unknowns, field=unknowns.field.learned(x[rows], estimate.posterior[rows, rows])
             )
     estimate = solve_frames(stars, unknowns, sequence.surface, noise, x, steps=2)
     found = {star.hub: far for star, far in zip(stars, drifting, strict=True)} if number else {}
     return PassState(estimate, tuple(stars), found)
+
+
+def lags_owned(surface: Surface, state: PassState) -> PassState:
+    """The last pass, with what pairs of one lag err alike among the unknowns where lags disagree.
+
+    All turns of lags are let go first; what they depart by in units of its covariance says whether chance
+    does that.
+    """
+    estimate = state.estimate
+    unknowns, noise = estimate.unknowns, estimate.noise
+    lags = tuple(sorted({lag for star in state.stars for lag in star.lags}))
+    if len(lags) < 2 or unknowns.turns is not None:
+        return state
+
+    def solved(turns: LagTurns) -> FrameEstimate:
+        x = np.concatenate([estimate.x, np.zeros(turns.size)])
+        return solve_frames(state.stars, replace(unknowns, turns=turns), surface, noise, x, steps=2)
+
+    pixel = np.full(3, 1.0 / estimate.cameras[0].detector.focal_length_px)
+    free = LagTurns(lags, FREE_TURN_PX * pixel)
+    found = solved(free)
+    rows = found.unknowns.of_turns
+    turns = free.learned(found.x[rows], found.covariance[rows, rows], LEAST_TURN_PX * pixel)
+    return replace(state, estimate=solved(turns)) if turns.disagree.any() else state
 
 
 def _weighed(

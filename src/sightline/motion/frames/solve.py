@@ -22,6 +22,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.motion.frames.errors import Influence, common_covariance
+from sightline.motion.frames.lag_turns import LagTurns
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.matches import FrameStar
@@ -64,6 +65,8 @@ class FrameUnknowns:
         rad; prior of each frame's angles, and of a constant they share.
     ties : FrameTies or None
         Star trackers, gyros and control points.
+    turns : LagTurns or None
+        What pairs of one lag err alike; None where lags agree.
     """
 
     nominal: tuple[FrameCamera, ...]
@@ -72,6 +75,7 @@ class FrameUnknowns:
     attitude_sigma: float = ATTITUDE_SIGMA
     constant_sigma: float = CONSTANT_SIGMA
     ties: FrameTies | None = None
+    turns: LagTurns | None = None
 
     @property
     def frames(self) -> int:
@@ -81,12 +85,23 @@ class FrameUnknowns:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return self.lens + (0 if self.field is None else self.field.size)
+        return self.of_turns.stop
 
     @property
     def lens(self) -> int:
         """Number of unknowns before those of the lens field."""
         return 3 * self.frames + len(self.statics)
+
+    @property
+    def of_field(self) -> slice:
+        """The unknowns of the lens field."""
+        return slice(self.lens, self.lens + (0 if self.field is None else self.field.size))
+
+    @property
+    def of_turns(self) -> slice:
+        """The turns of lags."""
+        first = self.of_field.stop
+        return slice(first, first + (0 if self.turns is None else self.turns.size))
 
     def prior_precision(self) -> Array:
         """(P, P) inverse prior covariance."""
@@ -98,18 +113,19 @@ class FrameUnknowns:
         statics = slice(3 * n, self.lens)
         out[statics, statics] = np.diag([1.0 / parameter.sigma**2 for parameter in self.statics])
         if self.field is not None:
-            out[self.lens :, self.lens :] = self.field.prior_precision()
+            out[self.of_field, self.of_field] = self.field.prior_precision()
+        if self.turns is not None:
+            out[self.of_turns, self.of_turns] = self.turns.prior_precision()
         return out
 
     def lens_at_control(self) -> Array:
-        """Shift (M, 2, size of the field) of the sightings of control points with the lens field."""
+        """Shift (M, 2, unknowns from the lens field on) of the sightings of control points."""
         control = None if self.ties is None else self.ties.control
-        if self.field is None or control is None:
-            return np.zeros((0 if control is None else len(control.sigma), 2, self.size - self.lens))
-        at = self.field.weights(control.pixels)
-        out = np.zeros((len(at), 2, 2, at.shape[1]))
-        out[:, 0, 0] = out[:, 1, 1] = at
-        return out.reshape(len(at), 2, -1)
+        out = np.zeros((0 if control is None else len(control.sigma), 2, self.size - self.lens))
+        if self.field is not None and control is not None:
+            at = self.field.weights(control.pixels)
+            out[:, 0, : at.shape[1]] = out[:, 1, at.shape[1] : 2 * at.shape[1]] = at
+        return out
 
     def known(self, cameras: Sequence[FrameCamera], x: Array) -> tuple[Array, Array]:
         """Information (P, P) and right side (P,) of what is known besides the images, about `x`."""
@@ -133,15 +149,20 @@ class FrameUnknowns:
                 out[:, k, axis, axis] = difference
         return out.reshape(*star.measured.shape, -1)
 
+    def further_design(self, star: FrameStar, line: Star) -> Array:
+        """Shift of a star's matches with unknowns that are not in its cameras, (G, K, 2, all from `lens`)."""
+        field = self.field_design(star)
+        return field if self.turns is None else np.concatenate([field, self.turns.design(line)], axis=3)
+
     def linearised(
         self, stars: Sequence[FrameStar], cameras: Sequence[FrameCamera], surface: Surface, x: Array
     ) -> list[Star]:
-        """All stars about `cameras` (which are those of `x`), the lens field taken out of the residuals."""
+        """All stars about `cameras` (those of `x`), what else `x` says taken out of the residuals."""
         lines = linearise_frames(stars, cameras, surface, self.statics)
-        if self.field is None:
+        if self.size == self.lens:
             return lines
         return [
-            replace(line, residual_px=line.residual_px - self.field_design(star) @ x[self.lens :])
+            replace(line, residual_px=line.residual_px - self.further_design(star, line) @ x[self.lens :])
             for star, line in zip(stars, lines, strict=True)
         ]
 
@@ -423,7 +444,7 @@ def _rows(matched: FrameStar, star: Star, unknowns: FrameUnknowns) -> tuple[Arra
     for j, image in enumerate(star.images):
         design[:, j, :, 3 * image : 3 * image + 3] += star.by_partner[:, j]
     design[..., 3 * n : unknowns.lens] = star.by_static
-    design[..., unknowns.lens :] = unknowns.field_design(matched)
+    design[..., unknowns.lens :] = unknowns.further_design(matched, star)
     factors = cholesky_factors(star.covariance_px)
     residual = np.where(star.present[..., None], np.nan_to_num(star.residual_px), 0.0)
     height = np.asarray(star.by_height, dtype=np.float64)
