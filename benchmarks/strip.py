@@ -3,11 +3,13 @@
     python benchmarks/strip.py
     python benchmarks/strip.py --folder strips --lengths 3000 6000 12000 --columns 6000
     python benchmarks/strip.py --folder strips --lengths 3000 12000 120000 --columns 300
+    python benchmarks/strip.py --lengths 800 --columns 200 --first
 
 Renders a strip of four bands per length (`sightline simulate line-of-sight`; a strip that the folder
 already holds is used again) and recovers each in a process of its own, on all processors there are. Wall and
 CPU time, and the peak memory of the process, are those of the whole command: reading, matching, estimating,
-writing the result and its report. The score against truth is that of `sightline score`.
+writing the result and its report; `--first`: and compiling the kernels, as in the first run of all. The score
+against truth is that of `sightline score`.
 """
 
 from __future__ import annotations
@@ -25,11 +27,17 @@ from pathlib import Path
 COMMAND = [str(Path(sys.executable).with_name("sightline"))]
 
 
-def measured(arguments: list[str]) -> tuple[float, float, float]:
-    """Wall and CPU seconds and peak memory (GiB) of one command, of that process alone."""
-    with tempfile.TemporaryFile("w+") as said:
+def measured(arguments: list[str], *, first: bool = False) -> tuple[float, float, float]:
+    """Wall and CPU seconds and peak memory (GiB) of one command, of that process alone.
+
+    `first`: with no kernel compiled before.
+    """
+    with tempfile.TemporaryFile("w+") as said, tempfile.TemporaryDirectory() as empty:
+        kernels = {"NUMBA_CACHE_DIR": empty} if first else {}
         begin = time.perf_counter()
-        process = subprocess.Popen([*COMMAND, *arguments], stdout=said, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            [*COMMAND, *arguments], stdout=said, stderr=subprocess.STDOUT, env=os.environ | kernels
+        )
         # not RUSAGE_CHILDREN: its peak is that of the largest process so far, renderings included
         _, status, used = os.wait4(process.pid, 0)
         wall = time.perf_counter() - begin
@@ -58,7 +66,7 @@ def score(result: Path, strip: Path) -> str:
     return "  ".join(f"{said[axis]['rms']:.4f}/{said[axis]['nees']:.2f}" for axis in ("roll", "pitch", "yaw"))
 
 
-def run(folder: Path, lengths: list[int], columns: int, seed: int) -> None:
+def run(folder: Path, lengths: list[int], columns: int, seed: int, *, first: bool) -> None:
     """The table."""
     print(f"{os.cpu_count()} processors, 4 bands of {columns} columns, load {os.getloadavg()[0]:.1f}")
     strips = {lines: rendered(folder, lines, columns, seed) for lines in sorted(lengths)}
@@ -67,7 +75,7 @@ def run(folder: Path, lengths: list[int], columns: int, seed: int) -> None:
     for lines, strip in strips.items():
         result = folder / f"result-{strip.name}"
         arguments = ["recover", str(strip / "acquisition.toml"), "--out", str(result), "--overwrite"]
-        wall, spent, peak = measured(arguments)
+        wall, spent, peak = measured(arguments, first=first)
         peaks[lines] = peak
         print(
             f"{lines:6d} {wall:8.1f} {spent:7.1f} {peak:8.2f} {1e3 * wall / lines:12.2f} "
@@ -89,13 +97,14 @@ def main() -> None:
     parser.add_argument("--lengths", nargs="+", type=int, default=[3000, 6000, 12000])
     parser.add_argument("--columns", type=int, default=6000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", action="store_true", help="compile the kernels in each run")
     arguments = parser.parse_args()
     if arguments.folder is not None:
         arguments.folder.mkdir(parents=True, exist_ok=True)
-        run(arguments.folder, arguments.lengths, arguments.columns, arguments.seed)
+        run(arguments.folder, arguments.lengths, arguments.columns, arguments.seed, first=arguments.first)
         return
     with tempfile.TemporaryDirectory() as folder:
-        run(Path(folder), arguments.lengths, arguments.columns, arguments.seed)
+        run(Path(folder), arguments.lengths, arguments.columns, arguments.seed, first=arguments.first)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import os
 import pickle
@@ -14,7 +15,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from numba.core import config
+from numba.core import config, event
+from numba.core.errors import TypingError
 
 from sightline import compiled
 
@@ -312,3 +314,33 @@ def test_what_may_round_freely_stands_in_its_callers_code():
     (code,) = caller.inspect_asm().values()
     assert "caller" in code
     assert not [line for line in code.splitlines() if "rounded_helper" in line and "NumbaEnv" not in line]
+
+
+@pytest.mark.parametrize("sought", [True, False])
+def test_cycles_are_not_sought_while_a_kernel_is_compiled_and_again_afterwards_where_they_were(sought):
+    seen = []
+
+    class Heard(event.Listener):
+        def on_start(self, begun):
+            seen.append(gc.isenabled())
+
+        def on_end(self, ended):
+            pass
+
+    heard, inner = Heard(), compiled.njit(cache=False)(lambda x: x + 1)
+    outer, wrong = (
+        compiled.njit(cache=False)(lambda x: inner(x) * 2),
+        compiled.njit(cache=False)(lambda x: x.no),
+    )
+    event.register("numba:compile", heard)  # after that of the module
+    was = gc.isenabled()
+    try:
+        (gc.enable if sought else gc.disable)()
+        assert outer(1) == 4 and gc.isenabled() is sought
+        with pytest.raises(TypingError):
+            wrong(1)
+        assert gc.isenabled() is sought
+    finally:
+        event.unregister("numba:compile", heard)
+        (gc.enable if was else gc.disable)()
+    assert len(seen) >= 3 and not any(seen)

@@ -29,7 +29,8 @@ from sightline.cli.score import score_folder
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Infinity
 from sightline.io.results.recovered import read_recovered
-from sightline.kinds.open import NAMED
+from sightline.kinds.kind import FILES, NAMED
+from sightline.kinds.open import KINDS
 from sightline.products.cube_plan import CubePlan
 from sightline.products.cube_store import MemoryStore
 from sightline.result import Result, makes_result, one_line
@@ -278,6 +279,13 @@ def test_a_result_shows_itself_on_one_line_and_as_a_small_table(case, name):
         assert table.startswith("<table>") and table.count("<tr>") >= 2 and len(table) < 4000
         assert "<b>five</b>" not in table  # a name of the file, which is text
     assert repr(one.made) == repr(sightline.open_result(one.folder)) or name in ("register", "picture")
+
+
+def test_an_earlier_result_is_known_without_the_files_of_the_other_kinds():
+    assert {name: type(kind).__module__ for name, kind in NAMED.items()} == {
+        name: f"sightline.kinds.{file}" for name, file in FILES.items()
+    }
+    assert {type(kind) for kind in NAMED.values()} == {type(kind) for kind in KINDS}
 
 
 def test_no_kind_shows_itself_otherwise_and_no_fact_makes_a_long_line():

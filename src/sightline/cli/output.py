@@ -22,7 +22,6 @@ def _earlier(place: Path) -> Iterable[str]:
     """What a result of whatever command in a folder is made of."""
     if not os.path.lexists(place / "summary.json"):
         return ()
-    import sightline.kinds.open  # knows every kind  # noqa: F401
     from sightline.kinds.kind import earlier
 
     return earlier(place)

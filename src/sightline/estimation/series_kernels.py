@@ -133,8 +133,7 @@ def accumulate(  # type: ignore[no-untyped-def]
     for g in range(patches):
         largest = max(largest, starts[g + 1] - starts[g])
     columns = border.shape[1]
-    first = np.zeros((largest, 2), np.int64)
-    rows = np.zeros((largest, 2, support))
+    first, rows = np.zeros(2 * largest, np.int64), np.zeros((2 * largest, support))  # of both instants
     lower, weight = np.zeros((largest, largest)), np.zeros((largest, largest))
     kept = np.zeros(largest, np.int64)
     misfit, logdet, used = 0.0, 0.0, 0
@@ -147,12 +146,10 @@ def accumulate(  # type: ignore[no-untyped-def]
         logdet += log_patch
         for k in range(independent):
             i = k0 + kept[k]
-            first[k, 0] = _window_weights(
-                t_a[i], window[i], tdi_a[i], start, step, count, support, rows[k, 0]
-            )
-            first[k, 1] = _window_weights(
-                t_b[i], window[i], tdi_b[i], start, step, count, support, rows[k, 1]
-            )
+            for p in range(2):
+                t, tdi = (t_a[i], tdi_a[i]) if p == 0 else (t_b[i], tdi_b[i])
+                at = 2 * k + p
+                first[at] = _window_weights(t, window[i], tdi, start, step, count, support, rows[at])
         for k in range(independent):
             i = k0 + kept[k]
             for h in range(independent):
@@ -168,16 +165,16 @@ def accumulate(  # type: ignore[no-untyped-def]
                     corner[image_a[i], image_a[j]] += w
                 for p in range(2):
                     for u in range(support):
-                        value = w * rows[k, p, u] * (2 * p - 1)
+                        value = w * rows[2 * k + p, u] * (2 * p - 1)
                         if value == 0.0:
                             continue
-                        gu = first[k, p] + u
+                        gu = first[2 * k + p] + u
                         rhs[gu] += value * y[j]
                         if columns:
                             border[gu, image_b[j]] += value
                             border[gu, image_a[j]] -= value
                         for q in range(2):
-                            gq = first[h, q]
+                            gq = first[2 * h + q]
                             for v in range(min(support, gu - gq + 1)):
-                                band[gu - gq - v, gq + v] += value * rows[h, q, v] * (2 * q - 1)
+                                band[gu - gq - v, gq + v] += value * rows[2 * h + q, v] * (2 * q - 1)
     return misfit, logdet, used

@@ -141,16 +141,30 @@ def _stamp(path: Path) -> tuple[int, int]:
     return known.st_size, known.st_mtime_ns
 
 
-#: Every kind by the names by which ``summary.json`` knows its results: filled in ``open.py``.
+#: The file of each kind by the names by which ``summary.json`` knows its results, and the kinds that are
+#: imported: to know one, not all of them need be.
+FILES = {
+    "LineOfSight": "recovery", "FrameAttitude": "recovery", "SpinAttitude": "recovery",
+    "Registration": "registration", "Mosaic": "registration", "LayoutChoice": "layouts",
+    "StereoOrientation": "orientation", "StereoPrediction": "orientation", "TdiResult": "tdi",
+    "SequencePoses": "sequence", "CubeSummary": "sequence", "DetectorNoise": "noise",
+    "RasterMatches": "matching", "BandMatches": "matching", "ReferenceTie": "tie", "Score": "scoring",
+    "Batch": "batch",
+}  # fmt: skip
 NAMED: dict[str, ResultKind] = {}
+
+
+def named_kind(name: str) -> ResultKind:
+    """The kind whose results ``summary.json`` knows by a name; KeyError where there is none."""
+    importlib.import_module(f"sightline.kinds.{FILES[name]}")
+    return NAMED[name]
 
 
 def earlier(folder: Path) -> Iterable[str]:
     """Names below a folder of what the result there is made of, by its summary; none where there is none."""
     try:
         summary = read_json(folder / SUMMARY, "a summary")
-        kind = NAMED[summary["result"]] if "version" in summary else None
-        return [] if kind is None else kind.left(folder, summary)
+        return named_kind(summary["result"]).left(folder, summary) if "version" in summary else []
     except (SightlineError, KeyError, TypeError, ValueError, AttributeError):  # nobody's, or changed since
         return []
 
@@ -206,6 +220,10 @@ class ResultKind:
     options: tuple[str, ...] = ()
     panels: int = 1
     render: Callable[..., dict[str, Any]]
+
+    def __init_subclass__(cls) -> None:
+        """Enter it under the names of its results."""
+        NAMED.update({one.__name__: cls() for one in cls.types})
 
     # ---- what a kind says
 

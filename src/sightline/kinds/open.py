@@ -11,7 +11,7 @@ from typing import Any
 from sightline.errors import FormatError
 from sightline.io.results.hidden import read_summary
 from sightline.kinds.batch import Batches
-from sightline.kinds.kind import NAMED, SUMMARY, ResultKind
+from sightline.kinds.kind import SUMMARY, ResultKind
 from sightline.kinds.layouts import Layouts
 from sightline.kinds.matching import BandShifts, Shifts
 from sightline.kinds.noise import Noise
@@ -31,7 +31,6 @@ KINDS: tuple[ResultKind, ...] = (
 )  # fmt: skip
 _OF_TYPE: dict[type[Result], ResultKind] = {one: kind for kind in KINDS for one in kind.types}
 _OF_NAME: dict[str, type[Result]] = {one.__name__: one for one in _OF_TYPE}
-NAMED.update({one.__name__: kind for one, kind in _OF_TYPE.items()})
 
 
 def kind_of(result: Any) -> ResultKind:

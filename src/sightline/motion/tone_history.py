@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.special import chdtrc
 
 from sightline.geometry.trajectory import Motion
 from sightline.motion.tones import AXES, DetectedTone, evenly_detrended, hann
@@ -124,8 +125,6 @@ def _amplitude(x: Array, waves: Array, window: Array) -> complex:
 
 def _history(tone: DetectedTone, t: Array, value: Complex, sigma: float) -> ToneHistory:
     """Amplitude and phase of complex values, and whether they scatter more than their noise."""
-    from scipy.stats import chi2
-
     phase = np.unwrap(np.angle(value))
     # a frequency that is a little off turns the phase evenly: that is no variation
     slope = np.polyfit(t - t.mean(), phase, 1, w=np.abs(value)) if len(t) > 2 else np.zeros(2)
@@ -136,7 +135,7 @@ def _history(tone: DetectedTone, t: Array, value: Complex, sigma: float) -> Tone
     freedom = max(2 * (len(alone) - 1) - 1, 1)
     spread = float(np.mean(np.abs(steadied - steadied.mean()) ** 2))
     excess = max(spread - 2.0 * sigma**2 * (1.0 - 1.0 / max(len(alone), 2)), 0.0)
-    chance = float(chi2.sf(squares, freedom))
+    chance = float(chdtrc(freedom, squares))
     return ToneHistory(
         tone, t, np.abs(value), sigma, phase - slope[0] * (t - t.mean()), math.sqrt(excess), chance
     )

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.photogrammetry.block.point_priors import level_axes
@@ -163,7 +163,7 @@ def table_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]
                 fit.name,
                 f"{len(fit.rows)}",
                 f"{fit.chi_squared:.3g} of {fit.numbers} numbers",
-                f"{chi2.isf(0.01, fit.numbers):.3g}",
+                f"{chdtri(fit.numbers, 0.01):.3g}",
                 f"{problem.frames[int(fit.rows[worst])]}: {fit.square[worst]:.3g} of 3 numbers",
             ]
         )

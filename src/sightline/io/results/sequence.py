@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.io.formats.tables import write_columns
@@ -187,7 +187,7 @@ def _tables(sequence: FrameSequence, found: SequencePoses) -> dict[str, dict[str
             "frames": len(fit.rows),
             "numbers": fit.numbers,
             "chi_squared": fit.chi_squared,
-            "chi_squared_99": float(chi2.isf(0.01, fit.numbers)),
+            "chi_squared_99": float(chdtri(fit.numbers, 0.01)),
             "farthest": {
                 "frame": names[int(fit.rows[np.argmax(fit.square)])],
                 "chi_squared": float(fit.square.max()),

@@ -95,38 +95,27 @@ def _window_weights(t, duration, tdi, start, step, count, support, weights):  # 
         first = count - support
     for k in range(support):
         weights[k] = 0.0
+    whole = duration + tdi
+    points = 2 + int(math.ceil((2.0 if tdi > 0.0 else 1.0) * whole / step)) if whole > 0.0 else 1
+    total = float(points)
     if tdi > 0.0:
-        whole = duration + tdi
-        points, total = 2 + int(math.ceil(2.0 * whole / step)), 0.0
+        total = 0.0
         for p in range(points):
             total += share_of_instant(abs(whole * ((p + 0.5) / points - 0.5)), duration, tdi)
-        for p in range(points):
-            offset = whole * ((p + 0.5) / points - 0.5)
-            share = share_of_instant(abs(offset), duration, tdi) / total
-            x = (t + offset - start) / step
-            node = min(max(int(math.floor(x)) - 1, first), first + support - 4)
-            u = x - node
-            o = node - first
-            weights[o] += -(u - 1) * (u - 2) * (u - 3) / 6 * share
-            weights[o + 1] += u * (u - 2) * (u - 3) / 2 * share
-            weights[o + 2] += -u * (u - 1) * (u - 3) / 2 * share
-            weights[o + 3] += u * (u - 1) * (u - 2) / 6 * share
-        return first
-    points = 1 if duration <= 0.0 else 2 + int(math.ceil(duration / step))
     for p in range(points):
-        instant = t + duration * ((p + 0.5) / points - 0.5)
-        x = (instant - start) / step
-        node = int(math.floor(x)) - 1
-        if node < first:
-            node = first
-        if node > first + support - 4:
-            node = first + support - 4
+        offset = whole * ((p + 0.5) / points - 0.5)
+        # without stages all count alike
+        share, over = 1.0, total
+        if tdi > 0.0:
+            share, over = share_of_instant(abs(offset), duration, tdi) / total, 1.0
+        x = (t + offset - start) / step
+        node = min(max(int(math.floor(x)) - 1, first), first + support - 4)
         u = x - node
         o = node - first
-        weights[o] += -(u - 1) * (u - 2) * (u - 3) / 6 / points
-        weights[o + 1] += u * (u - 2) * (u - 3) / 2 / points
-        weights[o + 2] += -u * (u - 1) * (u - 3) / 2 / points
-        weights[o + 3] += u * (u - 1) * (u - 2) / 6 / points
+        weights[o] += -(u - 1) * (u - 2) * (u - 3) / 6 * share / over
+        weights[o + 1] += u * (u - 2) * (u - 3) / 2 * share / over
+        weights[o + 2] += -u * (u - 1) * (u - 3) / 2 * share / over
+        weights[o + 3] += u * (u - 1) * (u - 2) / 6 * share / over
     return first
 
 
@@ -257,9 +246,10 @@ def _accumulate(  # type: ignore[no-untyped-def]
     rows_max = 2 * pairs
     local = np.zeros((n_local, n_local + 1))
     index = np.zeros(n_local, np.int64)
-    used = np.zeros(n_local, np.bool_)
-    first = np.full(1 + instants, -1, np.int64)
-    previous = np.full(1 + instants, -1, np.int64)
+    used = np.zeros(n_local, np.int64)
+    first, previous = np.zeros(1 + instants, np.int64), np.zeros(1 + instants, np.int64)
+    first[:] = -1
+    previous[:] = -1
     # one column per angle of each instant, height and its tilt, statics, the data: weights in time come later
     compact = 3 * instants + (2 if relief else 0) + statics
     heights = 3 * instants
@@ -267,14 +257,15 @@ def _accumulate(  # type: ignore[no-untyped-def]
     product = np.zeros((compact, compact + 1))
     a = np.zeros((rows_max, compact + 1))
     r = np.zeros((rows_max, rows_max))
-    # where stages count unevenly each row has weights in time of its own
-    own = len(uneven_at) > 0
-    wide = np.zeros((rows_max if own else 0, n_local + 1))
-    added = np.zeros((3, support))
+    # where stages count unevenly each row has weights in time of its own; where there are no stages `uneven`
+    # is None, and what is for them is not compiled
+    if uneven is not None and len(uneven_at) > 0:
+        wide = np.zeros((rows_max, n_local + 1))
+        added = np.zeros((3, support))
     chi2, rows_total = 0.0, 0
     for s in range(statics):
         index[n_local - statics + s] = block_n + s
-        used[n_local - statics + s] = True
+        used[n_local - statics + s] = 1
     for g in range(patches):
         rows = 0
         for k in range(pairs):
@@ -312,7 +303,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 for s in range(statics):
                     a[row + c, compact - statics + s] = by_static[g, k, c, s]
                 a[row + c, compact] = residual[g, k, c]
-            if own:
+            if uneven is not None and len(uneven_at) > 0:
                 for c in range(2):
                     for j in range(n_local + 1):
                         wide[row + c, j] = 0.0
@@ -367,13 +358,13 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 f = r[i, m]
                 for j in range(compact + 1):
                     a[i, j] -= f * a[m, j]
-                if own:
+                if uneven is not None and len(uneven_at) > 0:
                     for j in range(heights * support):
                         wide[i, j] -= f * wide[m, j]
             inverse = 1.0 / r[i, i]
             for j in range(compact + 1):
                 a[i, j] *= inverse
-            if own:
+            if uneven is not None and len(uneven_at) > 0:
                 for j in range(heights * support):
                     wide[i, j] *= inverse
             chi2 += a[i, compact] * a[i, compact]
@@ -386,7 +377,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
         if not same:
             _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static)
             for j in range(n_local - statics):
-                used[j] = False
+                used[j] = 0
             for k in range(1 + instants):
                 previous[k] = first[k]
         for k in range(instants):
@@ -397,15 +388,15 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 for m in range(support):
                     j = (3 * k + axis) * support + m
                     index[j] = (first[k] + m - node) * block + axis
-                    used[j] = True
+                    used[j] = 1
         if relief:
             previous[instants] = first[instants]
             for axis in range(2):
                 for m in range(support):
                     j = (heights + axis) * support + m
                     index[j] = (first[instants] + m - node) * block + 3 + axis
-                    used[j] = True
-        if own:
+                    used[j] = 1
+        if uneven is not None and len(uneven_at) > 0:
             for row in range(rows):
                 for p in range(compact - statics):
                     group = min(p // 3, instants)
@@ -464,7 +455,8 @@ def _modelled(  # type: ignore[no-untyped-def]
     w = np.zeros(support)
     hub = np.zeros((2, 3))
     partner = np.zeros((2, 3))
-    own, added = len(uneven_at) > 0, np.zeros((3, support))
+    if uneven is not None and len(uneven_at) > 0:
+        added = np.zeros((3, support))
     for g in range(patches):
         for c in range(parts):
             spans = along if parts == 2 and c == 0 else duration
@@ -498,17 +490,18 @@ def _modelled(  # type: ignore[no-untyped-def]
                     )
                 for s in range(statics.shape[0]):
                     total += by_static[g, k, c, s] * statics[s]
-                for side in range(2 if own else 0):
-                    at = t_hub[g] if side == 0 else t[g, k]
-                    spans, whole = along if parts == 2 and c == 0 else duration, tdi_hub[g]
-                    if side == 1:
-                        whole = tdi[g, k]
-                    first = _window_weights(at, spans, whole, start, step, count, support, w)
-                    added[:] = 0.0
-                    _add_uneven(uneven[g, k, side, c], uneven_at, at, first, start, step, support, added)
-                    for axis in range(3):
-                        for m in range(support):
-                            total += added[axis, m] * nodes[first + m, axis]
+                if uneven is not None and len(uneven_at) > 0:
+                    for side in range(2):
+                        at = t_hub[g] if side == 0 else t[g, k]
+                        spans, whole = along if parts == 2 and c == 0 else duration, tdi_hub[g]
+                        if side == 1:
+                            whole = tdi[g, k]
+                        first = _window_weights(at, spans, whole, start, step, count, support, w)
+                        added[:] = 0.0
+                        _add_uneven(uneven[g, k, side, c], uneven_at, at, first, start, step, support, added)
+                        for axis in range(3):
+                            for m in range(support):
+                                total += added[axis, m] * nodes[first + m, axis]
                 out[g, k, c] = total
 
 
@@ -751,11 +744,16 @@ class _Piece:
         return out
 
 
-def _uneven(star: Star) -> tuple[NDArray[np.float32], Array]:
-    """`uneven` and `uneven_at` of a star, of no instants where it has none."""
-    if star.uneven is None or star.uneven_at is None:
-        return np.zeros((len(star.t_hub), star.t.shape[1], 2, 2, 3, 0), dtype=np.float32), np.zeros(0)
-    return star.uneven, star.uneven_at
+def _uneven(star: Star, part: slice) -> tuple[NDArray[np.float32] | None, Array | None]:
+    """`uneven` of a part of a star's windows and `uneven_at`, of no instants where it has none.
+
+    None of both where no image has stages: most strips compile their kernels for one of the two only.
+    """
+    if star.uneven is not None and star.uneven_at is not None:
+        return star.uneven[part], star.uneven_at
+    if star.tdi is None and star.tdi_hub is None:
+        return None, None
+    return np.zeros((*star.t[part].shape, 2, 2, 3, 0), dtype=np.float32), np.zeros(0)
 
 
 def _support(star: Star, grid: TimeGrid) -> int:
@@ -783,7 +781,6 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
     statics = len(beside)
     corner, rhs_static = np.zeros((statics, statics)), np.zeros(statics)
     tdi_hub, tdi = star.averaging()
-    uneven, uneven_at = _uneven(star)
     stretches, chi2, rows = [], 0.0, 0
     for part, low, high in piece.stretches(grid):
         n = block * (high - low)
@@ -806,8 +803,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
             star.by_height[part],
             star.field[part],
             star.correlation,
-            uneven[part],
-            uneven_at,
+            *_uneven(star, part),
             block == 5,
             grid.start,
             grid.step,
@@ -877,9 +873,10 @@ def window_rows(
             share = by[which][:, :, None, :] * w[:, None, :, None] / (points * each)
             values.append(share.reshape(2 * len(which), -1))
             columns.append(at.reshape(2 * len(which), -1))
-    uneven, uneven_at = _uneven(star)
     for side, t in enumerate((star.t_hub, star.t[:, 0])):
-        for at, by in zip(uneven_at, np.moveaxis(uneven[which, 0, side], -1, 0), strict=True):
+        if star.uneven is None or star.uneven_at is None:
+            continue
+        for at, by in zip(star.uneven_at, np.moveaxis(star.uneven[which, 0, side], -1, 0), strict=True):
             first, w = grid.weights(t[which] + at)
             node = first[:, None, None, None] + np.arange(TAPS)[:, None]
             place = np.broadcast_to(block * node + np.arange(3), (len(which), 2, TAPS, 3))
@@ -914,7 +911,6 @@ def modelled(
     t_ground, nodes = order.of(star.t_hub), np.ascontiguousarray(nodes)
     values = np.asarray(statics, dtype=float)
     support, (tdi_hub, tdi) = _support(star, grid), star.averaging()
-    uneven, uneven_at = _uneven(star)
 
     def work(part: slice) -> None:
         _modelled(
@@ -931,8 +927,7 @@ def modelled(
             star.by_static[part],
             star.by_height[part],
             star.field[part],
-            uneven[part],
-            uneven_at,
+            *_uneven(star, part),
             nodes.shape[1] == 5,
             grid.start,
             grid.step,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 from sightline.estimation.robust import robust_sigmas
 from sightline.geometry.conjugate import predict_match
@@ -202,8 +203,6 @@ def _beyond_lines(u: Array) -> Array:
 
 def _chance(values: Array, u: Array) -> float:
     """Probability that means over (B,) of values (B, C) depart from a line as far as they do."""
-    from scipy.stats import f
-
     y = values @ _beyond_lines(u)
     n, p = y.shape
     if n <= p + 1 or not y.any():
@@ -214,7 +213,7 @@ def _chance(values: Array, u: Array) -> float:
     left = (y - mean) / y.std(axis=0)
     alike = max(float((left[1:] * left[:-1]).sum() / (left**2).sum()), 0.0)
     square = n * (1.0 - alike) / (1.0 + alike) * float(mean @ np.linalg.solve(scatter, mean))
-    return float(f.sf(square * (n - p) / (p * (n - 1)), p, n - p))
+    return float(fdtrc(p, n - p, square * (n - p) / (p * (n - 1))))
 
 
 def _steps(beside: _BesideRows) -> tuple[tuple[int, ...], bool]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sightline.errors import EstimationError
 from sightline.geometry.checks import Array
@@ -224,7 +224,7 @@ def _bias_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
         if not sigma > 0.0:
             continue
         ratio = float(np.linalg.norm(bias)) / sigma
-        if ratio**2 <= chi2.isf(_CHANCE, 3):
+        if ratio**2 <= chdtri(3, _CHANCE):
             continue
         turned = "" if unit == "m" else f" ({np.degrees(np.linalg.norm(bias)):.3g} degrees in all)"
         named = ", ".join(f"{axis} {value:+.3g}" for axis, value in zip(_BIAS_AXES[unit], bias, strict=True))
@@ -265,7 +265,7 @@ def _scale_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
         problem.height_sigma**2 + known.position_bias**2 + 1.0 / (level**-2.0).sum() + (seen * loose) ** 2
     )
     sigmas = abs(by_heights - by_path) / float(spread)
-    if not sigmas**2 > chi2.isf(_CHANCE, 1) or not min(by_heights, by_path) > 0.0:
+    if not sigmas**2 > chdtri(1, _CHANCE) or not min(by_heights, by_path) > 0.0:
         return []
     factor = by_heights / by_path
     focal = poses.detector(problem.detector).focal_length_px
@@ -307,7 +307,7 @@ def _scale(given: Array, found: Array, sigma: Array) -> tuple[float, float]:
             return 1.0, np.inf
         scale = float((weight * x * y).sum()) / information
         square = ((y - scale * x) ** 2 / sigma**2).sum(axis=1)
-        near = np.array(square < chi2.isf(_CHANCE, 3) * max(1.0, _usual(square[weight[:, 0] > 0.0])))
+        near = np.array(square < chdtri(3, _CHANCE) * max(1.0, _usual(square[weight[:, 0] > 0.0])))
         weight = weight * np.expand_dims(near, 1)
     return scale, information**-0.5
 
@@ -325,7 +325,7 @@ def _row_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
         factor, unit = (1.0, "m") if what == "positions" else (float(np.degrees(1.0)), "degrees")
         size = factor * np.linalg.norm(fit.error, axis=1)
         ratio = float(np.sqrt(_usual(square)))
-        if ratio > _MISSED and square.sum() > chi2.isf(_CHANCE, 3 * len(given)):
+        if ratio > _MISSED and square.sum() > chdtri(3 * len(given), _CHANCE):
             out.append(
                 Misfit(
                     f"{what} of the tables miss the poses found by {float(np.median(size)):.2g} {unit}, "
@@ -333,7 +333,7 @@ def _row_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
                     False,
                 )
             )
-        gross = np.flatnonzero(square > max(1.0, ratio**2) * chi2.isf(_CHANCE / len(given), 3))
+        gross = np.flatnonzero(square > max(1.0, ratio**2) * chdtri(3, _CHANCE / len(given)))
         if len(gross):
             worst = int(gross[np.argmax(square[gross])])
             names = [str(problem.frames[k]) for k in given[gross[:_NAMED]]]
