@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import importlib.util
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted((ROOT / "validation").glob("*.py"))
+BENCHMARKS = sorted((ROOT / "benchmarks").glob("*.py"))
 if not SCRIPTS:
     pytest.skip("not applicable: validation/ is not part of this copy", allow_module_level=True)
 
@@ -38,6 +40,23 @@ def test_a_block_older_than_the_code_that_it_measures_says_so(gates):
         "; ".join(f"the block of validation/{script}.py {what}" for script, what in wrong.items())
         + ": run the script without arguments, or `python validation/gates.py --mark`"
     )
+
+
+@pytest.mark.parametrize("path", [*SCRIPTS, *BENCHMARKS], ids=lambda path: path.stem)
+def test_what_a_script_takes_from_the_package_is_there(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("sightline"):
+            module = importlib.import_module(str(node.module))
+            missing = [
+                one.name
+                for one in node.names
+                if not hasattr(module, one.name) and not _is_module(f"{node.module}.{one.name}")
+            ]
+            assert not missing, f"{node.module} has no {', '.join(missing)}"
+
+
+def _is_module(name: str) -> bool:
+    return importlib.util.find_spec(name) is not None
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.series import DifferenceSeries, Grid
-from sightline.estimation.series import normal_equations as series_equations
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 from sightline.estimation.split import split
 from sightline.geometry.trajectory import Trajectory
 from sightline.motion.sensors import AttitudeSensor
