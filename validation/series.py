@@ -3,7 +3,7 @@
 Prints one row per target. The truth is drawn from a dense covariance written out here; it shares no
 code with the smoother. Unit: pixels (one pixel = one unit of angle, the estimators are linear).
 
-    python validation/series.py [--trials 40] [--blind 12] [--toneless 10000]
+    python validation/series.py [--trials 40] [--blind 12] [--toneless 10000] [--strips 30]
 """
 
 from __future__ import annotations
@@ -24,15 +24,19 @@ from scipy.linalg import toeplitz
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from motion.estimators.s1_combinations import max_band
+from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.likelihood import fit_spectrum, spread_of
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import HIGHEST, NoiseModel, Search
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 from sightline.estimation.split import split
+from sightline.geometry.surface import Plane
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.smoother import axis_series, fit_spectra, smooth
+from sightline.simulate.jitter import JitterProfile, ToneJitter, nominal_profile
+from sightline.simulate.scenarios import line_of_sight_case
 
 Array = NDArray[np.float64]
 
@@ -457,14 +461,29 @@ def toneless(count: int) -> None:
                 f"{number} of {len(gains)}", f"{low} to {high}", low <= number <= high)  # fmt: skip
 
 
+def toneless_strips(count: int) -> None:
+    """Rendered strips of the nominal motion without its tones: how many are said to have one at p < .01."""
+    parts = tuple(part for part in nominal_profile().roll if not isinstance(part, ToneJitter))
+    profile, taken = JitterProfile(parts, parts, parts), 0
+    for seed in range(500, 500 + count):
+        strip = line_of_sight_case("nominal", seed, profile=profile, lines=1000, columns=300)
+        said = recover_line_of_sight(strip.as_given(), Plane(0.0)).to_dict()
+        by_axis = [*said["tones"].values(), *said["tones_hardly_seen"].values()]
+        taken += any(tone["false_alarm"] < 0.01 for tones in by_axis for tone in tones)
+    row("tones", "strips without tones: with one at a stated probability below 0.01", f"{taken} of {count}",
+        "<= 1 of 30", 30 * taken <= count)  # fmt: skip
+
+
 def main() -> None:
     """Run all targets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--trials", type=int, default=40, help="series per target with the prior known")
     parser.add_argument("--blind", type=int, default=12, help="series with everything found in the data")
     parser.add_argument("--toneless", type=int, default=10000, help="series without any tone")
+    parser.add_argument("--strips", type=int, default=30, help="rendered strips without any tone")
     options = parser.parse_args()
     toneless(options.toneless)
+    toneless_strips(options.strips)
     root = np.linalg.cholesky(dense_covariance() + 1e-12 * np.eye(COUNT))
     known_prior(root, options.trials)
     blind_prior(root, options.blind)
