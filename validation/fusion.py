@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
+from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 from sightline.estimation.split import split
@@ -156,7 +157,15 @@ def image_equations(case: Case, motion: Array, rng: np.random.Generator) -> Norm
         ab[::3, axis::3] = part.band
         rhs[axis::3] = part.rhs
     return NormalEquations(
-        GRID, 3, ab, np.zeros((3 * COUNT, 0)), np.zeros((0, 0)), rhs, np.zeros(0), 0.0, len(rhs)
+        GRID,
+        3,
+        StoredBand.of(ab),
+        np.zeros((3 * COUNT, 0)),
+        np.zeros((0, 0)),
+        rhs,
+        np.zeros(0),
+        0.0,
+        len(rhs),
     )
 
 
