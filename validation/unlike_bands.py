@@ -23,6 +23,8 @@ field's edge), after the hidden directions are fitted away, and the share of win
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -41,6 +43,8 @@ Array = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw")
 LAGS = (0.0, 0.150, 0.1574, 0.1722)
 FIVE, TEN = tuple(range(5)), tuple(range(10))
+#: Strips at a time.
+AT_ONCE = 2
 
 
 def coarse(ratio: float, *, colour_first: bool = False) -> dict[str, Any]:
@@ -95,34 +99,56 @@ CASES = {
 }
 
 
-def one(name: str, case: Case, seed: int) -> tuple[Array, Array, float, bool] | None:
-    """Print a strip's row; its rms, NEES, share of windows kept, and whether passes settled.
+@dataclass(frozen=True)
+class Found:
+    """A strip's row, and what it says: none of it where a band that was not said to differ is named."""
 
-    None where what was not said is, by a band's name.
-    """
+    row: str
+    rms: Array | None = None
+    nees: Array | None = None
+    kept: float = 1.0
+    settled: bool = True
+
+
+def one(name: str, seed: int) -> Found:
+    """A strip of a case, recovered."""
+    case, words = CASES[name], f"{name:30} {seed:3d}  "
     scene = line_of_sight_case("nominal", seed, **{**case.size, **case.options})
     bands = scene.as_given()
     if not case.said:
         bands = [replace(band, scale_sigma=Band.scale_sigma) for band in bands]
-    names = [repr(band.name) for band in bands[1:]]
+    names = () if case.said else tuple(repr(band.name) for band in bands[1:])
     try:
         result = recover_line_of_sight(bands, Plane(0.0), height_sigma=case.height_sigma)
     except EstimationError as problem:
-        if case.said or not any(band in str(problem) for band in names):
+        if not any(band in str(problem) for band in names):
             raise
-        print(f"{name:30} {seed:3d}  refused: {problem}", flush=True)
-        return None
+        return Found(f"{words}refused: {problem}")
     score = score_result(result, scene.truth[:, 0], scene.truth[:, 1:])
     in_finest = result.scale[0] / (scene.options.ifov * min(scene.options.pixel_ratios, default=1.0))
     rms = in_finest * np.array([score.axes[axis].rms for axis in AXES])
     nees = np.array([score.axes[axis].nees for axis in AXES])
-    share = sum(p.kept for p in result.pairs) / sum(p.tried for p in result.pairs)
+    words += "  ".join(f"{r:.4f} ({n:.2f})" for r, n in zip(rms, nees, strict=True))
+    if any(band in said for band in names for said in result.warnings):
+        return Found(f"{words}  named in a warning")
     settled = not any("settle" in said for said in result.warnings)
-    words = "  ".join(f"{r:.4f} ({n:.2f})" for r, n in zip(rms, nees, strict=True))
-    named = not case.said and any(band in said for band in names for said in result.warnings)
-    also = ("" if settled else "  not settled") + ("  named in a warning" if named else "")
-    print(f"{name:30} {seed:3d}  {words}  kept {share:.3f}{also}", flush=True)
-    return None if named else (rms, nees, share, settled)
+    kept = sum(p.kept for p in result.pairs) / sum(p.tried for p in result.pairs)
+    return Found(f"{words}  kept {kept:.3f}{'' if settled else '  not settled'}", rms, nees, kept, settled)
+
+
+def judged(name: str, strips: Sequence[Found]) -> Array:
+    """The figures of a case; rms (3,) of its strips."""
+    case = CASES[name]
+    rms = np.sqrt(np.mean([one.rms**2 for one in strips if one.rms is not None], axis=0))
+    nees = np.mean([one.nees for one in strips if one.nees is not None], axis=0)
+    for k, axis in enumerate(AXES):
+        gates.check(f"{name}, {axis}: pooled NEES", nees[k], *case.nees)
+        if case.rms:
+            gates.check(f"{name}, {axis}: rms, px", rms[k], 0.0, case.rms[k])
+    if case.kept:
+        gates.check(f"{name}: least share of windows kept", min(one.kept for one in strips), case.kept)
+        gates.check(f"{name}: strips that did not settle", sum(not one.settled for one in strips), 0, 0)
+    return np.asarray(rms)
 
 
 def main() -> None:
@@ -132,27 +158,23 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, help="in place of those of each case")
     given = parser.parse_args()
     found = {}
-    for name in given.cases:
-        case = CASES[name]
-        rows = [row for seed in given.seeds or case.seeds if (row := one(name, case, seed)) is not None]
-        if not rows:
-            continue
-        rms = np.sqrt(np.mean([row[0] ** 2 for row in rows], axis=0))
-        nees = np.mean([row[1] for row in rows], axis=0)
-        found[name] = rms
-        for k, axis in enumerate(AXES):
-            gates.check(f"{name}, {axis}: pooled NEES", nees[k], *case.nees)
-            if case.rms:
-                gates.check(f"{name}, {axis}: rms, px", rms[k], 0.0, case.rms[k])
-        if case.kept:
-            gates.check(f"{name}: least share of windows kept", min(row[2] for row in rows), case.kept)
-            gates.check(f"{name}: strips that did not settle", sum(not row[3] for row in rows), 0, 0)
-    if "no magnification" in found:
-        for name in ("magnification", "magnification, unknown ground"):
+    with ProcessPoolExecutor(AT_ONCE) as workers:
+        jobs = {
+            name: [workers.submit(one, name, seed) for seed in given.seeds or CASES[name].seeds]
+            for name in given.cases
+        }
+        for name, each in jobs.items():
+            strips = []
+            for job in each:
+                strips.append(job.result())
+                print(strips[-1].row, flush=True)
+            if any(one.rms is not None for one in strips):
+                found[name] = judged(name, strips)
+    for name in ("magnification", "magnification, unknown ground"):
+        if name in found and "no magnification" in found:
             for k, axis in enumerate(AXES):
-                if name in found:
-                    ratio = found[name][k] / found["no magnification"][k]
-                    gates.check(f"{name}, {axis}: rms over that without", ratio, 0.0, 1.1)
+                ratio = found[name][k] / found["no magnification"][k]
+                gates.check(f"{name}, {axis}: rms over that without", ratio, 0.0, 1.1)
 
 
 if __name__ == "__main__":
