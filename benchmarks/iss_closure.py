@@ -98,7 +98,6 @@ def main() -> None:
     field = result.estimate.unknowns.field
     print(f"lens field {field.sigma_px:.3f} px; errors per lag in the matcher's sigma: "
           f"{np.round(np.sqrt(np.diag(result.estimate.noise.gamma)), 2).tolist()}")  # fmt: skip
-    print(f"alike in all frames: {result.estimate.noise.repeated_px:.4f} px at one place of the detector")
     for warning in result.warnings:
         print(f"warning: {warning}")
     print_residuals(result)

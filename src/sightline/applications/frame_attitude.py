@@ -141,7 +141,7 @@ def recover_frame_attitude(
         state = refined
         if changes[-1] < sequence.options.tolerance:
             break
-    return _result(sequence, lags_owned(surface, state), changes)
+    return _result(sequence, lags_owned(surface, state, _scale(state.estimate)), changes)
 
 
 def mount_by_motion(frames: Sequence[Frame], surface: Surface) -> FixedMount:

@@ -1013,7 +1013,7 @@ def gain_of_chance(count: float, false_alarm: float) -> float:
     Parameters
     ----------
     count : float
-        Periods of the highest frequency in the data.
+        Width of the band that is looked through, times the length of the data.
     false_alarm : float
         Between 0 and 1.
 

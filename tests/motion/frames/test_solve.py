@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.interpolate import RectBivariateSpline
 from scipy.stats import chi2
 from tests.motion import pinholes
 
@@ -21,7 +20,6 @@ from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_noise
 from sightline.motion.frames.passes import FrameOptions, PassState, _drifting, _weighed, lags_owned
-from sightline.motion.frames.repeated import learn_repeated
 from sightline.motion.frames.solve import FrameUnknowns, solve_frames, time_statics
 from sightline.motion.statics import frame_statics
 
@@ -215,65 +213,6 @@ def test_pairs_of_one_lag_agree_with_chains_of_another_within_their_sigmas():
         closure(matches, found, Plane(), 2)
 
 
-def patterned(angles, seed: int, size: float):
-    """Matches of images shifted by a pattern of `size` px, fixed to the detector, finer than the grid."""
-    rng = np.random.default_rng(seed)
-    nodes = [np.arange(-20.0, length + 20.0, 12.0) for length in pinholes.SHAPE]
-    drawn = rng.standard_normal((2, *(len(axis) for axis in nodes)))
-    fields = [RectBivariateSpline(*nodes, one) for one in drawn]
-    every = [np.linspace(20, length - 20, 60) for length in pinholes.SHAPE]
-    scale = size / np.sqrt(np.mean([field(*every) ** 2 for field in fields]))
-
-    def shift(pixels):
-        at = np.nan_to_num(pixels)
-        return scale * np.stack([field.ev(at[..., 0], at[..., 1]) for field in fields], axis=-1)
-
-    return [
-        replace(star, measured=star.measured + shift(star.measured) - shift(star.pixels)[:, None])
-        for star in pinholes.stars(angles, rng=rng)
-    ]
-
-
-def test_a_pattern_fixed_to_the_detector_is_found_in_what_repeats_from_frame_to_frame():
-    truth = walk(9, step=1e-5)
-    unknowns = FrameUnknowns(pinholes.cameras(9), ())
-    sizes = []
-    for seed in range(6):
-        for size in (0.0, 0.02):
-            stars, noise = patterned(truth, seed, size), FrameNoise.start(LAGS)
-            for _ in range(4):
-                found = solve_frames(stars, unknowns, Plane(), noise)
-                noise = learn_noise(found.stars, found.clean_px, found.explained(), LAGS, noise)
-                noise = replace(noise, repeated_px=learn_repeated(found))
-            sizes.append(noise.repeated_px)
-    assert max(sizes[::2]) < 0.004  # where there is none
-    # windows a little apart share less of it than their pixels: a fifth less
-    assert 0.013 < np.mean(sizes[1::2]) < 0.022
-
-
-def test_attitudes_are_known_as_well_as_said_where_a_pattern_repeats():
-    truth, size = walk(9, step=1e-5), 0.02
-    unknowns = FrameUnknowns(pinholes.cameras(9), ())
-    squares: dict[float, list[float]] = {0.0: [], size: []}
-    for seed in range(40):
-        stars = patterned(truth, seed, size)
-        for owned, found_squares in squares.items():
-            # the matcher says 0.02 px of both images; the pattern is as much again of each
-            level = 1.0 if owned else 3.0
-            gamma = level * (0.5 + 0.5 * np.eye(3))
-            noise = FrameNoise(LAGS, gamma, 0.0, (), owned)
-            found = solve_frames(stars, unknowns, Plane(), noise)
-            mean = np.zeros((3, 27))
-            for axis in range(3):
-                mean[axis, 24 + axis], mean[axis, axis] = 1.0, -1.0  # from the first frame to the last
-            error = mean @ (found.angles - truth).ravel()
-            covariance = mean @ found.angle_covariance @ mean.T
-            found_squares.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)
-    # 120 numbers: mean squares to an eighth
-    assert np.mean(squares[0.0]) > 1.6
-    assert 0.7 < np.mean(squares[size]) < 1.35
-
-
 def turned_by_lag(angles, turns, rng):
     """Matches whose partners at each lag are seen by a body turned by (3,) rad more: its pixels move so."""
     out = []
@@ -291,7 +230,7 @@ def owned(stars, count: int):
     unknowns = FrameUnknowns(pinholes.cameras(count), (), attitude_sigma=1e-4, constant_sigma=1e-5)
     noise = FrameNoise(LAGS, 0.5 + 0.5 * np.eye(3), 0.0)  # drawn windows share no pixels
     found = solve_frames(stars, unknowns, Plane(), noise)
-    return found, lags_owned(Plane(), PassState(found, tuple(stars))).estimate
+    return found, lags_owned(Plane(), PassState(found, tuple(stars)), np.full(3, PIXEL)).estimate
 
 
 def test_what_all_pairs_of_one_lag_err_alike_is_owned_and_lags_that_agree_are_left_alone():

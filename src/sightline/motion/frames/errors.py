@@ -104,13 +104,7 @@ def outcome_covariance(
         size = np.where(star.present, 1.0 / np.sqrt(np.maximum(star.weight, 1e-12)), 0.0)
         errors = gain * size[:, :, None, None]
         out = out + np.einsum("gkcp,kl,glcq->pq", errors, noise.of(star.lags), errors, optimize=True)
-    return out + common_covariance(influence, noise)
-
-
-def common_covariance(influence: Influence, noise: FrameNoise) -> Array:
-    """What different windows err together, beyond each by itself: covariance (P, P)."""
-    out = neighbour_covariance(influence, noise.shared)
-    return out + repeated_covariance(influence, noise.repeated_px) if noise.repeated_px > 0.0 else out
+    return out + neighbour_covariance(influence, noise.shared)
 
 
 def neighbour_covariance(influence: Influence, shared: float) -> Array:
@@ -143,42 +137,6 @@ def neighbour_covariance(influence: Influence, shared: float) -> Array:
     return np.asarray(0.5 * (out + out.T))
 
 
-def repeated_covariance(influence: Influence, sigma_px: float) -> Array:
-    """What windows on the same part of the detector err together, in whichever frame: covariance (P, P).
-
-    Parameters
-    ----------
-    influence : Influence
-    sigma_px : float
-        px; of the shifts of an image, which windows share as far as they share pixels.
-
-    Notes
-    -----
-    Gains are summed in cells of a quarter of a window, for the shares of cells are a product over the axes.
-    """
-    window = influence.stars[0].window
-    uses = [(places, gains_px) for places, _, gains_px in _uses(influence)]
-    cells = np.concatenate([np.rint(4.0 * places / window).astype(np.intp) for places, _ in uses])
-    gains = np.concatenate([gain for _, gain in uses])
-    cells -= cells.min(axis=0)
-    shape = cells.max(axis=0) + 1
-    lines, columns = (_cells_share(int(size)) for size in shape)
-    out = np.zeros((gains.shape[2], gains.shape[2]))
-    for axis in range(2):
-        summed = np.zeros((*shape, gains.shape[2]))
-        np.add.at(summed, (cells[:, 0], cells[:, 1]), gains[:, axis])
-        spread = np.einsum("ij,jkp->ikp", lines, np.einsum("kl,jlp->jkp", columns, summed, optimize=True))
-        # a window with itself is in the law of its own errors
-        out += np.einsum("ikp,ikq->pq", summed, spread, optimize=True) - gains[:, axis].T @ gains[:, axis]
-    return np.asarray(0.5 * sigma_px**2 * (out + out.T))
-
-
-def _cells_share(count: int) -> Array:
-    """Share (count, count) that windows four cells long have in common, cell by cell."""
-    at = np.arange(count)
-    return np.asarray(np.maximum(1.0 - np.abs(at[:, None] - at[None]) / 4.0, 0.0))
-
-
 def _uses(influence: Influence) -> Iterator[tuple[Array, Array, Array]]:
     """Per image: places (M, 2) px of the windows that use it, their gains (M, 2, P), hubs erring backwards.
 
@@ -204,12 +162,8 @@ def _uses(influence: Influence) -> Iterator[tuple[Array, Array, Array]]:
 
 def common_share(first: Array, second: Array, window: tuple[int, int]) -> Array:
     """Share of pixels (N, M) that windows at `first` and `second` (px) have in common."""
-    return overlap(first[:, None], second[None], window)
-
-
-def overlap(first: Array, second: Array, window: tuple[int, int]) -> Array:
-    """Share of pixels (...) that windows at `first` and `second` (..., 2) px have in common, one by one."""
-    out = np.ones(np.broadcast_shapes(first.shape, second.shape)[:-1])
+    out = np.ones((len(first), len(second)))
     for axis in range(2):
-        out *= np.maximum(1.0 - np.abs(first[..., axis] - second[..., axis]) / window[axis], 0.0)
+        apart = np.abs(first[:, None, axis] - second[None, :, axis]) / window[axis]
+        out *= np.maximum(1.0 - apart, 0.0)
     return out

@@ -3,7 +3,7 @@
 Pairs of one lag look at the same parts of the detector, over the same overlap, with the same change of view:
 what biases one biases all, and many frames do not average it. Pairs of another lag err otherwise, and tell.
 
-Not here: when they become unknowns (``passes.py``), errors of single places (``repeated.py``).
+Not here: when they become unknowns (``passes.py``).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from sightline.motion.measure.observations import Star
 
@@ -42,7 +42,7 @@ class LagTurns:
     @property
     def disagree(self) -> NDArray[np.bool_]:
         """(3,) axes about which lags disagree by more than chance does."""
-        return np.asarray(chi2.sf(self.chi_square, len(self.lags) - 1) < CHANCE)
+        return np.asarray(chdtrc(len(self.lags) - 1, self.chi_square) < CHANCE)
 
     @property
     def size(self) -> int:

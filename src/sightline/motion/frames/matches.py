@@ -105,11 +105,6 @@ class FrameStar:
         """The same matches with other robust weights, (G, K)."""
         return replace(self, weight=weight)
 
-    def erring_by(self, sigma_px: float) -> FrameStar:
-        """The same matches, both images erring by so much (px, 1-sigma) beyond what the matcher says."""
-        covariance = self.covariance_px + 2.0 * sigma_px**2 * np.eye(2)
-        return replace(self, covariance_px=covariance)
-
     def of_lags(self, lags: Sequence[int]) -> FrameStar | None:
         """Only the partners at some lags; None if there is none."""
         keep = [k for k, lag in enumerate(self.lags) if lag in lags]

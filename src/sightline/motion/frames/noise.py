@@ -1,11 +1,10 @@
 """Errors of matches between frames: what lags share, what windows share, and unknown relief.
 
-Five causes are kept apart: noise of each image (shared by every match that uses the same pixels,
+Four causes are kept apart: noise of each image (shared by every match that uses the same pixels,
 so that neighbouring pairs err against each other), disagreement of a pair (which grows with the
 change of view), parallax of relief, and what drifts over the ground, as clouds do. The last two
 are fields on the ground that all frames see: relief moves windows along the parallax, drift
-across it, both in proportion to the base between two frames (drift along it looks like relief). The fifth
-is what repeats at one place of the detector from frame to frame (``repeated.py``).
+across it, both in proportion to the base between two frames (drift along it looks like relief).
 
 Not here: the estimate (``solve.py``).
 """
@@ -13,7 +12,7 @@ Not here: the estimate (``solve.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,16 +75,12 @@ class FrameNoise:
         Variance that the noise of one image brings, shared by all matches that use the same pixels.
     fields : tuple of GroundField
         Relief and drift, or none where heights are known.
-    repeated_px : float
-        px; 1-sigma of shifts of either image that all frames have alike at one place of the detector. Part
-        of `gamma` too, whose unit is the matcher's sigma with them in it.
     """
 
     lags: tuple[int, ...]
     gamma: Array
     shared: float
     fields: tuple[GroundField, ...] = ()
-    repeated_px: float = 0.0
 
     @classmethod
     def start(
@@ -186,7 +181,7 @@ def learn_noise(
     gamma = _completed(total / np.maximum(count, 1.0), count >= MIN_COUNT)
     if gamma is None:
         return before
-    return replace(before, lags=tuple(lags), gamma=gamma, shared=_shared(gamma))
+    return FrameNoise(tuple(lags), gamma, _shared(gamma), before.fields)
 
 
 def _completed(gamma: Array, known: NDArray[np.bool_]) -> Array | None:

@@ -25,7 +25,6 @@ from sightline.motion.frames.lag_turns import LagTurns
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.matches import FramePlan, FrameStar, kept_matches, match_neighbours
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_field, learn_noise
-from sightline.motion.frames.repeated import learn_repeated
 from sightline.motion.frames.solve import FrameEstimate, FrameUnknowns, solve_frames
 from sightline.motion.frames.start import (
     MAX_TURN,
@@ -266,8 +265,7 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
     else:
         unknowns, x = before.estimate.unknowns, before.estimate.x
         noise = replace(before.estimate.noise, fields=fields)
-    none = np.zeros(len(stars[0].pixels), dtype=bool)
-    drifting = [before.drifting.get(star.hub, none) for star in stars]
+    drifting = [before.drifting.get(star.hub, np.zeros(len(star.pixels), dtype=bool)) for star in stars]
     stars = [
         s.with_weight(np.where(far[:, None], 0.0, s.weight)) for s, far in zip(stars, drifting, strict=True)
     ]
@@ -291,11 +289,11 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
     return PassState(estimate, tuple(stars), found)
 
 
-def lags_owned(surface: Surface, state: PassState) -> PassState:
+def lags_owned(surface: Surface, state: PassState, pixel: Array) -> PassState:
     """The last pass, with what pairs of one lag err alike among the unknowns where lags disagree.
 
     All turns of lags are let go first; what they depart by in units of its covariance says whether chance
-    does that.
+    does that. `pixel` (3,) rad is one of roll, of pitch, and of yaw at the edge of the field.
     """
     estimate = state.estimate
     unknowns, noise = estimate.unknowns, estimate.noise
@@ -307,7 +305,6 @@ def lags_owned(surface: Surface, state: PassState) -> PassState:
         x = np.concatenate([estimate.x, np.zeros(turns.size)])
         return solve_frames(state.stars, replace(unknowns, turns=turns), surface, noise, x, steps=2)
 
-    pixel = np.full(3, 1.0 / estimate.cameras[0].detector.focal_length_px)
     free = LagTurns(lags, FREE_TURN_PX * pixel)
     found = solved(free)
     rows = found.unknowns.of_turns
@@ -369,4 +366,4 @@ def _learned(estimate: FrameEstimate, lags: Sequence[int]) -> FrameNoise:
         learn_field(estimate.ground, found.alone, found.precision, law)
         for found, law in zip(estimate.fields, noise.fields, strict=True)
     )
-    return replace(noise, fields=fields, repeated_px=learn_repeated(estimate))
+    return replace(noise, fields=fields)

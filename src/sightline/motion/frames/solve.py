@@ -21,7 +21,7 @@ from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.motion.frames.errors import Influence, common_covariance
+from sightline.motion.frames.errors import Influence, neighbour_covariance
 from sightline.motion.frames.lag_turns import LagTurns
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
@@ -228,7 +228,6 @@ class FrameEstimate:
     x : (P,)
     cameras : list of FrameCamera
     matched : sequence of FrameStar
-        With what repeats from frame to frame in their covariance.
     stars : list of Star
         `matched`, linearised at `cameras`.
     fields : tuple of FieldEstimate
@@ -241,7 +240,7 @@ class FrameEstimate:
     information : (P, P)
         Of the matches on x, relief taken out.
     posterior : (P, P)
-        Covariance of x, but for what different windows err together.
+        Covariance of x, but for what windows of one image err together.
     """
 
     unknowns: FrameUnknowns
@@ -264,7 +263,7 @@ class FrameEstimate:
     @cached_property
     def covariance(self) -> Array:
         """(P, P), with all that pairs share."""
-        return self.posterior + common_covariance(self.influence, self.noise)
+        return self.posterior + neighbour_covariance(self.influence, self.noise.shared)
 
     @property
     def angles(self) -> Array:
@@ -397,7 +396,6 @@ def solve_frames(
     """
     if not any(star.present.any() for star in stars):
         raise EstimationError("no window of any frame is found in another; check overlap, mount and times")
-    stars = [star.erring_by(noise.repeated_px) for star in stars]
     x = np.zeros(unknowns.size) if x is None else x.copy()
     prior = unknowns.prior_precision()
     for _ in range(max(steps, 1)):

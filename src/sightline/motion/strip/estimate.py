@@ -128,7 +128,7 @@ def sensor_rows(
     """Rows of all sensors about the present estimate; `model` tells which tones they may not feel."""
     grid, first = strip.grid, strip.nominal[0]
     span = (grid.start, grid.start + grid.step * (grid.count - 1))
-    unseen = (UNSEEN_PX if model is strip.broad else 0.0) * strip.scale
+    unseen = (UNSEEN_PX if model == strip.broad else 0.0) * strip.scale
     unfelt = unfelt_tones(model.spectra)
     # angles of the body about the axes of the estimate
     sensors = [replace(s, angles=s.angles @ strip.turn) for s in strip.sensors]
@@ -168,7 +168,7 @@ def solve_strip(
         return [s.residual_px + m for s, m in zip(stars, moved, strict=True)]
 
     about, uneven = nodes, any(s.uneven is not None for s in stars)
-    if uneven and model is strip.broad:
+    if uneven and model == strip.broad:
         about = plainly_seen(strip, nodes)
         stars = _blurred_anew(strip, records, stars, about, statics)
     measured = moved_back(stars, about)
@@ -177,7 +177,7 @@ def solve_strip(
         camera.forget()
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
-    settled = model is not strip.broad
+    settled = model != strip.broad
     angles = model.estimated().processes(grid)
     constant, drift = gauge(strip, angles)
     curves = unknown_curves(angles, nodes) if settled else (0.0, 0.0, 0.0)
@@ -225,7 +225,9 @@ def solve_strip(
         ]
         return found, [m - w for m, w in zip(clear, whole, strict=True)], without
 
-    averaged = sorted({each for camera in strip.nominal for each in camera.stage_times})
+    # an image without stages shows all
+    hiding = all(camera.stage_times for camera in strip.nominal)
+    averaged = sorted({each for camera in strip.nominal for each in camera.stage_times}) if hiding else []
     news = False
     estimate, post, without = solution()
     for _ in range(rounds):

@@ -79,7 +79,7 @@ def with_shown_mode(
             others = [tone for distance, tone in off if distance > max(apart, WIDTHS * tone.bandwidth)]
             tones = (*others, Tone(float(SIZES[size] * loud), frequency, BEGUN / length))
         unseen.append(tones)
-    return replace(model, unseen=tuple(unseen))
+    return model if unseen == list(model.unseen) else replace(model, unseen=tuple(unseen))
 
 
 def _loud(model: PriorModel) -> Array:
