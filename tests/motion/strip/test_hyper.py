@@ -444,14 +444,22 @@ def hidden_estimate(nodes: np.ndarray, variance_of) -> SimpleNamespace:
     return SimpleNamespace(grid=grid, nodes=nodes, functional_covariance=functional_covariance)
 
 
-def test_a_hidden_tone_becomes_as_large_and_as_narrow_as_it_is_found() -> None:
-    # a sinusoid of 121 Hz and .1 px rms, known: a tone that was found within the resolution settles on it
-    t = STEP * np.arange(600)
+def known_sinusoid():
+    """An estimate that knows pitch to be a sinusoid of 121 Hz and .1 px rms."""
     nodes = np.zeros((600, 3))
-    nodes[:, 1] = 0.1 * np.sqrt(2.0) * np.cos(2.0 * np.pi * 121.0 * t)
-    estimate = hidden_estimate(nodes, lambda t, w: np.zeros((w.shape[2],) * 2))
+    nodes[:, 1] = 0.1 * np.sqrt(2.0) * np.cos(2.0 * np.pi * 121.0 * STEP * np.arange(600))
+    return hidden_estimate(nodes, lambda t, w: np.zeros((w.shape[2],) * 2))
+
+
+def pitch_hides(tone: Tone) -> PriorModel:
+    """A model of hardly any jitter, and of one hidden tone of pitch."""
     quiet = Spectrum((Matern(1.0, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
-    model = PriorModel((quiet,) * 3, unseen=((), (Tone(0.2, 122.0, 1.5),), ()), blur_shows=True)
+    return PriorModel((quiet,) * 3, unseen=((), (tone,), ()), blur_shows=True)
+
+
+def test_a_hidden_tone_becomes_as_large_and_as_narrow_as_it_is_found() -> None:
+    # a tone that was found within the resolution settles on the sinusoid
+    estimate, model = known_sinusoid(), pitch_hides(Tone(0.2, 122.0, 1.5))
     widths = []
     for _ in range(4):
         model = hidden.learned(model, estimate, (0.0, 0.6))
@@ -465,12 +473,7 @@ def test_a_hidden_tone_becomes_as_large_and_as_narrow_as_it_is_found() -> None:
 
 def test_a_hidden_tone_that_was_guessed_keeps_its_place_and_becomes_as_large_as_it_is_found() -> None:
     # where rows show none of it, its place would be that of what they do show
-    t = STEP * np.arange(600)
-    nodes = np.zeros((600, 3))
-    nodes[:, 1] = 0.1 * np.sqrt(2.0) * np.cos(2.0 * np.pi * 121.0 * t)
-    estimate = hidden_estimate(nodes, lambda t, w: np.zeros((w.shape[2],) * 2))
-    quiet = Spectrum((Matern(1.0, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
-    model = PriorModel((quiet,) * 3, unseen=((), (Tone(0.2, 126.0, 8.0),), ()), blur_shows=True)
+    estimate, model = known_sinusoid(), pitch_hides(Tone(0.2, 126.0, 8.0))
     (tone,) = hidden.learned(model, estimate, (0.0, 0.6)).unseen[1]
     assert (tone.frequency, tone.bandwidth) == (126.0, 8.0)
     assert tone.sigma == pytest.approx(0.1, rel=0.2)

@@ -132,6 +132,16 @@ def make_prior(relief: bool) -> tuple[JointPrior, list[np.ndarray]]:
     return prior, dense
 
 
+def dense_prior(prior: JointPrior, dense: list[np.ndarray], block: int) -> np.ndarray:
+    """Covariance of all unknowns beforehand: `block` processes, node by node, then the statics."""
+    size = COUNT * block
+    k = np.zeros((size + 2, size + 2))
+    for axis in range(block):
+        k[axis:size:block, axis:size:block] = dense[axis]
+    k[size:, size:] = np.diag(prior.statics_sigma**2)
+    return k
+
+
 @pytest.mark.parametrize(
     ("relief", "curves"), [(False, (0.0, 0.0, 0.0)), (True, (0.0, 0.0, 0.0)), (True, (3.0, 0.0, 0.4))]
 )
@@ -146,13 +156,11 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool, curves: tup
     rows, y, noise = dense_rows(star, relief)
     block = 5 if relief else 3
     size = COUNT * block
-    k = np.zeros((size + 2, size + 2))
-    for axis in range(block):
-        k[axis:size:block, axis:size:block] = dense[axis] + (CONSTANT_SIGMA[axis] ** 2 if axis < 3 else 0.0)
+    k = dense_prior(prior, dense, block)
     parabola = np.polynomial.legendre.legval(np.linspace(-1.0, 1.0, COUNT), [0.0, 0.0, 1.0])
     for axis in range(3):
+        k[axis:size:block, axis:size:block] += CONSTANT_SIGMA[axis] ** 2
         k[axis:size:block, axis:size:block] += curves[axis] ** 2 * np.outer(parabola, parabola)
-    k[size:, size:] = np.diag(prior.statics_sigma**2)
     gain = k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise)
     # the estimate is also given that no axis has a mean or a drift but for their sigmas
     held = np.zeros((6, size + 2))
@@ -269,10 +277,7 @@ def test_the_band_in_time_is_that_of_the_dense_covariance_with_constants_held(re
     rows, _, noise = dense_rows(star, relief)
     block = 5 if relief else 3
     size = COUNT * block
-    k = np.zeros((size + 2, size + 2))
-    for axis in range(block):
-        k[axis:size:block, axis:size:block] = dense[axis]
-    k[size:, size:] = np.diag(prior.statics_sigma**2)
+    k = dense_prior(prior, dense, block)
     covariance = k - k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise) @ rows @ k
     angles = np.arange(size).reshape(COUNT, block)[:, :3].ravel()
     covariance = covariance[np.ix_(angles, angles)]
@@ -590,10 +595,7 @@ def test_what_rows_show_of_a_wave_is_the_slope_and_bend_of_the_dense_likelihood(
     rows, y, noise = dense_rows(star, relief)
     block = 5 if relief else 3
     size = COUNT * block
-    k = np.zeros((size + 2, size + 2))
-    for axis in range(block):
-        k[axis:size:block, axis:size:block] = dense[axis]
-    k[size:, size:] = np.diag(prior.statics_sigma**2)
+    k = dense_prior(prior, dense, block)
     laid = np.zeros((COUNT, block, 4))
     laid[:, :3] = waves
     seen = rows[:, :size] @ laid.reshape(size, 4)
