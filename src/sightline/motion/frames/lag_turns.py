@@ -76,11 +76,12 @@ class LagTurns:
             rad^2.
         least : (3,)
         """
-        sigma, chi_square, rows = least.copy(), np.zeros(3), self.contrasts()
+        moments, chi_square, rows = np.zeros(3), np.zeros(3), self.contrasts()
         for axis in range(3):
             found = rows @ turns[axis::3]
             spread = rows @ covariance[axis::3, axis::3] @ rows.T
             chi_square[axis] = found @ np.linalg.solve(spread, found)
-            sigma[axis] = np.sqrt(max((found**2 - np.diag(spread)).mean(), least[axis] ** 2))
-        out = LagTurns(self.lags, sigma, chi_square)
-        return replace(out, sigma=np.where(out.disagree, sigma, least))
+            moments[axis] = (found**2 - np.diag(spread)).mean()
+        out = LagTurns(self.lags, least, chi_square)
+        larger = out.disagree & (moments > least**2)
+        return replace(out, sigma=np.sqrt(np.where(larger, moments, least**2)))
