@@ -18,6 +18,8 @@ Rendered strips of the nominal motion (tones of 47, 83, 121 Hz), SNR 100:
 
 One line per strip: rms error, in px of its finest band, and NEES of roll / pitch / yaw (yaw: px at the
 field's edge), after the hidden directions are fitted away, and the share of windows kept.
+An axis whose error is some ten slow numbers has a NEES that scatters by .3 and more from strip to strip:
+where that shows, ten strips are pooled.
 """
 
 from __future__ import annotations
@@ -83,13 +85,13 @@ SIX = {
 MAGNIFIED = {"scale_sigma": 6e-4, "snr": 100.0}
 CASES = {
     "4:1": Case(coarse(4.0), FIVE, rms=PAN, kept=0.9),
-    "4:1, colour first": Case(coarse(4.0, colour_first=True), FIVE, rms=PAN, kept=0.9),
+    "4:1, colour first": Case(coarse(4.0, colour_first=True), TEN, rms=PAN, kept=0.9),
     "1.5:1": Case(coarse(1.5)),
     "2:1": Case(coarse(2.0)),
     "3:1": Case(coarse(3.0)),
     "6:1": Case(coarse(6.0)),
-    "six bands": Case(SIX),
-    "focal length, said": Case({**coarse(4.0), "scale_sigma": 0.02}),
+    "six bands": Case(SIX, TEN),
+    "focal length, said": Case({**coarse(4.0), "scale_sigma": 0.02}, TEN),
     "focal length, not said": Case({**coarse(4.0), "scale_sigma": 0.02}, said=False),
     "short lags": Case(
         SHORT, FIVE, nees=(0.7, 1.4), rms=(0.033,) * 3, kept=0.95, size={"lines": 4000, "columns": 1200}

@@ -313,7 +313,7 @@ def joint_line_of_sight(
         tell("predicting what was not used")
     withheld = judged(strip, state, options)
     result = replace(_result(strip, state, passed.changes, options.window, draft), withheld=withheld)
-    differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))
+    differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state))
     tdi = any(band.camera.stages is not None for band in strip.bands)
     warnings = (*result.warnings, *warnings, *contradictions(withheld, tdi=tdi))
     return strip, state, replace(result, differences=differences, warnings=warnings)

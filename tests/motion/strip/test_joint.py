@@ -606,6 +606,29 @@ def test_what_rows_show_of_a_wave_is_the_slope_and_bend_of_the_dense_likelihood(
     np.testing.assert_allclose(score, weighed.T @ y, rtol=0, atol=0.05 * np.sqrt(expected.max()))
 
 
+def test_the_likelihood_of_a_relief_is_that_of_the_dense_gaussian() -> None:
+    star, grid = small_star(2), TimeGrid(0.0, STEP, COUNT)
+    prior, dense = make_prior(True)
+    data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()], relief=True)
+    estimate = solve_joint(data, prior)
+    rows, y, noise = dense_rows(star, True)
+    size, found, expected = 5 * COUNT, [], []
+    for share in (1.0, 0.3, 0.05):
+        spectra = [Spectrum((Matern(share * s, 0.2, "5/2"),)) for s in (2.0, 1.0)]
+        first, second = (s.autoregressive(STEP, COUNT - 1, COUNT) for s in spectra)
+        found.append(estimate.likelihood_of((first, second)))
+        lag = STEP * np.abs(np.subtract.outer(np.arange(COUNT), np.arange(COUNT)))
+        known = [*dense[:3], *(s.autocovariance(lag.ravel()).reshape(lag.shape) for s in spectra)]
+        k = dense_prior(prior, known, 5)
+        for axis in range(3):
+            k[axis:size:5, axis:size:5] += CONSTANT_SIGMA[axis] ** 2
+        spread = rows @ k @ rows.T + noise
+        expected.append(-0.5 * (np.linalg.slogdet(spread)[1] + y @ np.linalg.solve(spread, y)))
+    # a constant stands between them; float32 sensitivities times the conditioning of the prior, as above
+    assert np.ptp(expected) > 1.0
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=2e-3, atol=2e-3)
+
+
 def test_rows_far_apart_add_what_they_add_alone_and_hold_no_band_between_them() -> None:
     star, many = small_star(), TimeGrid(0.0, STEP, 20 * COUNT)
     early, late = (slice(0, 6), slice(114, 120))

@@ -16,7 +16,9 @@ from sightline.motion.strip.relief import (
     hub_delay,
     relief_length,
     relief_matters,
+    relief_share,
     row_processes,
+    row_scatter,
     terrain_covariance,
 )
 
@@ -110,7 +112,7 @@ def test_the_length_of_relief_is_found_from_what_pairs_share_along_the_parallax(
     post[..., component] += heights[:, None] * by_height
     table = np.zeros((len(heights), 2, 2), np.float32)
     table[..., component] = by_height
-    found = relief_length([replace(star, by_height=table)], [post], HEIGHT, HALF_WIDTH)
+    found = relief_length(row_scatter([replace(star, by_height=table)], [post]), HEIGHT, HALF_WIDTH)
     # 1500 rows give the share to sqrt(2 / 1500) = 4 % even if one shape alone were left in a row, the errors
     # of matching, half shared, to 0.05^2 / 2 / (0.012 * 0.02 * 144 * share), below 3 % / sqrt(1500 * 19) of
     # it; the share falls with length^-1 .. length^-3, so 4 * 4 % of it is at most 16 % of length; the table
@@ -126,9 +128,44 @@ def test_without_relief_in_the_residuals_its_length_is_the_longest_that_is_belie
     # errors alike on both axes, of either sign by chance: less than any share of 12 m
     post = 1e-4 * np.random.default_rng(5).standard_normal((*star.t.shape, 2))
     seen = [replace(star, by_height=table)]
-    assert relief_length(seen, [post], HEIGHT, HALF_WIDTH) == pytest.approx(2.0 * HALF_WIDTH)
+    beside = row_scatter(seen, [post])
+    assert relief_length(beside, HEIGHT, HALF_WIDTH) == pytest.approx(2.0 * HALF_WIDTH)
     # slopes of a tenth, where the swath is narrower than such hills
-    assert relief_length(seen, [post], HEIGHT, HEIGHT) == pytest.approx(10.0 * HEIGHT)
+    assert relief_length(beside, HEIGHT, HEIGHT) == pytest.approx(10.0 * HEIGHT)
+
+
+class TestShare:
+    def test_what_tells_nothing_leaves_most_of_what_was_given(self):
+        # half of the variance given, and a sixth of the other half of each of six that fall by four
+        expected = np.sqrt(0.5 + 0.5 / 6.0 * sum(4.0**-k for k in range(1, 7)))
+        assert relief_share(lambda share: 0.0) == pytest.approx(expected)
+
+    @pytest.mark.parametrize("true", [1.0, 0.25, 0.0])
+    def test_many_heights_tell_their_size(self, true):
+        """Heights of a size drawn beside errors of their own: a thousand say it to 5 %."""
+        error = 0.05
+        drawn = np.hypot(true, error) * np.random.default_rng(2).standard_normal(1000)
+
+        def likelihood(share: float) -> float:
+            variance = share**2 + error**2
+            return float(-0.5 * (len(drawn) * np.log(variance) + drawn @ drawn / variance))
+
+        found = relief_share(likelihood)
+        if true:
+            assert found == pytest.approx(true, rel=0.05)
+        else:
+            # of no size at all a thousand errors leave a tenth of their variance open, 2^-2 of the error
+            assert found < error
+
+    def test_shares_far_less_likely_than_the_best_are_the_last(self):
+        asked = []
+
+        def likelihood(share: float) -> float:
+            asked.append(share)
+            return 40.0 * np.log(share)
+
+        assert relief_share(likelihood) == pytest.approx(1.0, abs=1e-6)
+        assert asked == [1.0, 0.5]
 
 
 class TestMatters:

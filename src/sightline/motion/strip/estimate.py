@@ -50,7 +50,15 @@ from sightline.motion.strip.normal_equations import (
     normal_equations,
     ordered_ground,
 )
-from sightline.motion.strip.relief import beside_row, hub_delay, relief_length, relief_matters, row_processes
+from sightline.motion.strip.relief import (
+    beside_row,
+    hub_delay,
+    relief_length,
+    relief_matters,
+    relief_share,
+    row_processes,
+    row_scatter,
+)
 from sightline.motion.strip.slow_errors import LEAST, SlowErrors, slow_errors
 from sightline.motion.strip.strip import Strip
 from sightline.motion.tones import MotionSpectrum, spectrum
@@ -94,6 +102,7 @@ class StripState:
     relief_length: float
     ground: GroundOrder
     height_sigma: float = 0.0
+    relief_share: float = 1.0
     slow: SlowErrors | None = None
 
     def jumps(self) -> list[Array]:
@@ -185,13 +194,15 @@ def solve_strip(
     alike = model.alike(strip.scale, grid.step * grid.count)
     ample_angles = alike.processes(grid)
     length = before.relief_length if before is not None else 2.0 * strip.half_width
+    share = before.relief_share if before is not None else 1.0
     beside = 0.0
+
+    def relief_of(sigma: float, length: float) -> tuple[Autoregressive, Autoregressive]:
+        return row_processes(sigma, length, strip.half_width, strip.ground_speed / orders[0].rate, grid)
+
     if unknown_relief:
         beside = height_sigma * beside_row(length, strip.half_width)
-        relief = row_processes(
-            height_sigma, length, strip.half_width, strip.ground_speed / orders[0].rate, grid
-        )
-        prior = replace(prior, relief=relief)
+        prior = replace(prior, relief=relief_of(share * height_sigma, length))
 
     # errors of a gyro are followed twice as far as the images tie the motion to itself
     longest = 2.0 * max(float(np.nanmax(np.abs(s.t - s.t_hub[:, None]), initial=0.0)) for s in stars)
@@ -264,7 +275,15 @@ def solve_strip(
         if same and _moved(stars, earlier, post) < STILL:
             break
     if unknown_relief:
-        length = relief_length(stars, without, height_sigma, strip.half_width)
+        scatter = row_scatter(stars, without)
+
+        def likelihood(share: float) -> float:
+            sigma = share * height_sigma
+            return estimate.likelihood_of(relief_of(sigma, relief_length(scatter, sigma, strip.half_width)))
+
+        if settled:
+            share = relief_share(likelihood)
+        length = relief_length(scatter, share * height_sigma, strip.half_width)
     kept = tuple(replace(r, star=s) for s, r in zip(stars, records, strict=True))
     return StripState(
         estimate,
@@ -277,6 +296,7 @@ def solve_strip(
         length,
         orders[0],
         height_sigma,
+        share,
         slow,
     )
 

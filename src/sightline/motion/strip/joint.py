@@ -253,6 +253,16 @@ class JointEstimate:
         x, _ = _held(factor, self._data, self._prior, x, y)
         return np.asarray(x.reshape(self.grid.count, -1)[:, :3])
 
+    def likelihood_of(self, relief: tuple[Autoregressive, Autoregressive]) -> float:
+        """Logarithm of the likelihood of what was measured, had the ground this relief; plus a constant."""
+        prior = replace(self._prior, relief=relief)
+        factor = _factor(_banded_factor(self._data, prior), self._data, prior, constants=True)
+        more = np.zeros(factor.border_covariance.shape[0] - len(self._data.rhs_static))
+        beside = np.concatenate([self._data.rhs_static, more])
+        x, y = factor.solve(self._data.rhs, beside)
+        explained = float(self._data.rhs @ x + beside @ y)
+        return 0.5 * (explained - factor.logdet + sum(process.logdet for process in relief))
+
     def shown_of(self, motions: Array) -> tuple[Array, Array]:
         """What images and sensors show of `motions` (count, 3, K) beside the estimate and its prior.
 

@@ -43,11 +43,11 @@ WHOLE = 0.5
 MOST_EPOCHS = 450
 
 
-def strip_differences(strip: Strip, state: StripState, height_sigma: float) -> list[AngleDifferences]:
+def strip_differences(strip: Strip, state: StripState) -> list[AngleDifferences]:
     """S1's angular differences of every pair of a strip, about the axes of the estimate."""
     sigmas = (0.0, 0.0)
     if state.prior.relief is not None:
-        sigmas = row_sigmas(height_sigma, state.relief_length, strip.half_width)
+        sigmas = row_sigmas(state.relief_share * state.height_sigma, state.relief_length, strip.half_width)
     stars = [record.star for record in state.records]
     return by_pair(angle_differences(stars, state.with_relief_px, state.estimate, sigmas))
 

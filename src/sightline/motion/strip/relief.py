@@ -11,7 +11,7 @@ Not here: known relief, which is in the surface (``geometry/surface.py``).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,11 @@ ROW_SAMPLES = 21
 #: Unknown relief is no smoother than this: its correlation length is at most so many half swaths, or that of
 #: slopes (sigma over length) so small. What does not show within a row is not thereby known to be flat.
 LONGEST, LEAST_SLOPE = 2.0, 0.1
+#: Sizes that unknown relief may have, as shares of the sigma that was given; how probable each is beforehand.
+SHARES = 0.5 ** np.arange(7)
+BELIEF = np.array([0.5, *[0.5 / 6.0] * 6])
+#: Smaller sizes are not tried where one is less likely than the best by this, in natural logarithms.
+FAR_LESS = 12.0
 #: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
 #: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
 STEEPEST_SLOPE = 0.5
@@ -156,8 +161,8 @@ def beside_row(length: float, half_width: float) -> float:
     return math.sqrt(detrended_share(min(length, half_width), half_width))
 
 
-def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float, half_width: float) -> float:
-    """Correlation length (m) of unknown relief of known `sigma` (m), from the scatter within rows.
+def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> float:
+    """Variance (m^2) of unknown relief about mean and slope of its rows, from residuals that hold it.
 
     Notes
     -----
@@ -196,8 +201,35 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
                 if gain > 0:
                     excess += number * gain * (shared - errors) * scale
                     weight += number * gain**2
-    measured = max(excess / weight, 0.0) if weight > 0 else 0.0
+    return max(excess / weight, 0.0) if weight > 0 else 0.0
+
+
+def relief_length(beside: float, sigma: float, half_width: float) -> float:
+    """Correlation length (m) of relief of `sigma` (m) of which rows have the variance `beside` (m^2) left."""
     longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)
     lengths = np.geomspace(max(0.05 * half_width, sigma / STEEPEST_SLOPE), longest, 60)
     shares = np.array([detrended_share(length, half_width) for length in lengths])
-    return float(lengths[int(np.argmin(np.abs(shares - measured / sigma**2)))])
+    return float(lengths[int(np.argmin(np.abs(shares - beside / sigma**2)))])
+
+
+def relief_share(likelihood: Callable[[float], float]) -> float:
+    """Root mean square size of unknown relief, as a share of the sigma that was given for it.
+
+    Parameters
+    ----------
+    likelihood : callable
+        Natural logarithm of the likelihood of what was measured, of a share, but for a constant.
+
+    Notes
+    -----
+    Half of the belief is in what was given, the other half in sizes down to a 64th of it: a sigma is often
+    said for want of a DEM, of ground that is far flatter. Variances are averaged; where images tell nothing,
+    most of what was given stays.
+    """
+    found: list[float] = []
+    for share in SHARES:
+        found.append(likelihood(float(share)))
+        if found[-1] < max(found) - FAR_LESS:
+            break
+    weights = BELIEF[: len(found)] * np.exp(np.array(found) - max(found))
+    return float(np.sqrt(weights @ SHARES[: len(found)] ** 2 / weights.sum()))
