@@ -273,6 +273,17 @@ def test_a_result_never_replaces_what_it_was_made_of(tmp_path):
     assert content(tmp_path) == {"PAN.tif": "raw", "summary.json": "earlier"}
 
 
+def test_reading_what_is_sure_to_be_replaced_is_refused_at_once(tmp_path):
+    write(tmp_path, {"summary.json": "earlier"})
+    with (
+        pytest.raises(InputError, match=r"summary\.json: was read for the result and would be replaced"),
+        output_folder(tmp_path, overwrite=True, writes=["summary.json"]),
+    ):
+        note(tmp_path / "." / "summary.json")
+        raise AssertionError("the work went on")
+    assert content(tmp_path) == {"summary.json": "earlier"}
+
+
 # ---- folders that cannot be written
 
 

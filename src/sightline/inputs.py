@@ -8,7 +8,7 @@ compared before the result is published.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,14 +44,20 @@ class _Stamp:
 
 @dataclass
 class Inputs:
-    """Files met since `noted` began, but for those below `own`, which the command makes itself."""
+    """Files met since `noted` began, but for those below `own`, which the command makes itself.
+
+    None may be of `replaced`, real paths of files that the command will write.
+    """
 
     own: Path
+    replaced: frozenset[str] = frozenset()
     _stamps: dict[Path, _Stamp] = field(default_factory=dict)
 
     def add(self, path: Path) -> None:
         """Keep what a file is now, unless it was met before."""
         if path not in self._stamps and not path.is_relative_to(self.own):
+            if self.replaced and os.path.realpath(path) in self.replaced:
+                raise replaced_error(path)
             self._stamps[path] = _Stamp.of(path)
 
     def changed(self) -> Path | None:
@@ -71,9 +77,12 @@ _watching: list[Inputs] = []
 
 
 @contextmanager
-def noted(own: Path) -> Iterator[Inputs]:
-    """Every file that is read during the block, as far as readers `note` it; none below `own`."""
-    seen = Inputs(own)
+def noted(own: Path, replaced: Iterable[Path] = ()) -> Iterator[Inputs]:
+    """Every file that is read during the block, as far as readers `note` it; none below `own`.
+
+    InputError where one of them is of `replaced`, files that the command will write.
+    """
+    seen = Inputs(own, frozenset(os.path.realpath(path) for path in replaced))
     _watching.append(seen)
     try:
         yield seen
@@ -104,6 +113,13 @@ def note(path: Path) -> None:
     """Call before a file is read: it is an input of the command under way, if there is one."""
     for seen in _watching:
         seen.add(path)
+
+
+def replaced_error(path: Path) -> InputError:
+    """That a file that was read has the name of one that is to be written."""
+    return InputError(
+        f"{path}: was read for the result and would be replaced by a file of it; give another --out"
+    )
 
 
 def changed_error(path: Path) -> InputError:

@@ -117,10 +117,14 @@ def test_a_gyro_leads_the_matches_and_a_tracker_gives_the_constant(turning):
 
 def test_control_points_tie_what_they_see(turning):
     rng = np.random.default_rng(6)
-    points = control(turning.base, turning.truth_of_base, turning.surface, rng, 12)
+    points = control(turning.base, turning.truth_of_base, turning.surface, rng, 13)
+    pixels = points.pixels.copy()
+    pixels[12, 0] += 5000.0
+    points = replace(points, pixels=pixels)
     result = recover_line_of_sight(turning.base, turning.surface, control_points=points, options=ONE_PASS)
     error = result.motion.angles - turning.truth_of_base.at(result.motion.t)
     sigma = result.absolute_sigma
+    assert any("1 of 13 control points lie beyond the image" in said for said in result.warnings)
     assert np.isfinite(sigma).all()
     assert (np.abs(error.mean(axis=0)) < 4.0 * sigma.mean(axis=0)).all()
     # twelve points of one px, and the offset of their own band, known to one px a priori and better beside

@@ -42,7 +42,7 @@ from sightline.motion.results import (
 )
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.alternatives import alternative
-from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
+from sightline.motion.strip.checks import check_images, checked, farthest_control, farthest_sensor
 from sightline.motion.strip.control_only import alone, check_alone, solve_by_control
 from sightline.motion.strip.estimate import (
     DRAFT_ROUNDS,
@@ -206,6 +206,7 @@ def recover_line_of_sight(
         tell("from control points to the motion")
         return controlled_line_of_sight(strip)
     stages = stages or Stages()
+    check_images(strip)
     stages.depend([bands, surface, height_sigma, sensors, control_points, known, options])
     with _images_at_hand(strip) as strip:
         strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell, stages)

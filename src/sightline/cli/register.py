@@ -56,7 +56,7 @@ def register(
     from sightline.cli.terminal import answered, progress, say
 
     with (
-        output_folder(out, overwrite=overwrite, resume=resume) as folder,
+        output_folder(out, overwrite=overwrite, resume=resume, writes=["summary.json"]) as folder,
         progress() as report,
     ):
         stages = finished_stages(out, refuse=resume and not overwrite)

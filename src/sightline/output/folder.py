@@ -65,6 +65,7 @@ def output_folder(
     overwrite: bool = False,
     earlier: Callable[[Path], Iterable[str]] = _nothing,
     resume: bool | None = None,
+    writes: Iterable[str] = (),
     note: Note = _log,
 ) -> Iterator[Path]:
     """Folder to write into, whose files appear in `folder` when the block ends without an exception.
@@ -85,6 +86,9 @@ def output_folder(
         Of a command that keeps finished stages in ``stages_folder(folder)``: whether ``--resume`` was given.
         The block goes on from those of a run that was stopped, unless to overwrite was all that was asked
         for; they are removed where it ends well, and where an input changed.
+    writes
+        Names, below `folder`, of files that the command is sure to write: that one of them is read is refused
+        at once, and not when all is done.
     note
         Called with what the user should know: a lock taken over, stages gone on from.
 
@@ -110,7 +114,7 @@ def output_folder(
             with (
                 _stages(folder, resume, note, overwrite=overwrite),
                 _staging(folder) as staging,
-                noted(staging) as inputs,
+                noted(staging, [folder / name for name in writes]) as inputs,
                 scratch_in(staging / _SCRATCH),
             ):
                 try:

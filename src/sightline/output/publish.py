@@ -19,7 +19,7 @@ from pathlib import Path, PurePosixPath
 
 from sightline.access import read_json
 from sightline.errors import InputError, SightlineError
-from sightline.inputs import Inputs
+from sightline.inputs import Inputs, replaced_error
 from sightline.writing import whole
 
 #: In a folder beside the final names: new files, those that they replace, while files are moved the journal.
@@ -139,9 +139,7 @@ def _refuse_replacing(final: Path, read: frozenset[str]) -> None:
             "away, or give another --out"
         )
     if kind and os.path.realpath(final) in read:
-        raise InputError(
-            f"{final}: was read for the result and would be replaced by a file of it; give another --out"
-        )
+        raise replaced_error(final)
 
 
 def _to_disk(path: Path) -> None:

@@ -69,6 +69,9 @@ def test_settings_need_no_quotation_marks_and_no_brackets():
     assert recipe.files == {"dem": True, "image_format": "png", "truth_bands": 5}
     bands = ["names=A,B", "lags=0,.15", "gains=1,1", "gammas=1,1"]
     assert read_recipe("line-of-sight", None, bands).options.names == ("A", "B")
+    # nor do numbers in brackets need what TOML asks of them
+    bands[1] = "lags=[0, .15]"
+    assert read_recipe("line-of-sight", None, bands).options.lags == (0.0, 0.15)
 
 
 def test_the_size_of_frames_is_given_by_its_two_numbers(scene):

@@ -16,7 +16,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.sensors import ControlSightings
-from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
+from sightline.motion.strip.checks import check_images, checked, farthest_control, farthest_sensor
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.motion.strip.warnings import _factor_words
@@ -27,8 +27,10 @@ SHAPE = (401, 220)
 @pytest.fixture(scope="module")
 def strip():
     cameras = strip_cameras((30.0, 0.0), *SHAPE)
-    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
-    bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
+    rng = np.random.default_rng(0)
+    bands = [
+        Band(f"band {k}", ArrayImage(rng.standard_normal(SHAPE)), camera) for k, camera in enumerate(cameras)
+    ]
     return prepared(bands, Plane(), RecoverOptions())
 
 
@@ -47,6 +49,17 @@ def test_lines_that_average_over_most_of_the_strip_are_refused(strip):
     checked(of(200), RecoverOptions())
     with pytest.raises(EstimationError, match=r"'band 1' averages over 201 stages, .* half of the 401 lines"):
         checked(of(201), RecoverOptions())
+
+
+def test_one_image_given_as_two_is_refused(strip):
+    def of(image: ArrayImage):
+        return replace(strip, bands=tuple(replace(one, image=image) for one in strip.bands))
+
+    check_images(strip)
+    with pytest.raises(InputError, match="the images of 'band 0' and 'band 1' are the same, pixel for pixel"):
+        check_images(of(strip.bands[0].image))
+    # two that show nothing are refused by what is matched in them
+    check_images(of(ArrayImage(np.full(SHAPE, 7.0))))
 
 
 def test_weights_that_no_band_predicts_are_refused(strip):

@@ -242,8 +242,10 @@ def _value(text: str) -> Any:
     try:
         (value,) = tomllib.loads(f"value = {text}").values()
     except (ValueError, RecursionError):
-        parts = [part.strip() for part in text.split(",")]
-        if len(parts) > 1:
+        inner = text.strip()
+        listed = inner.startswith("[") and inner.endswith("]")
+        parts = [part.strip() for part in (inner[1:-1] if listed else inner).split(",")]
+        if listed or len(parts) > 1:
             return [_value(part) for part in parts if part]
         # numbers that TOML does not have: .3
         return float(text) if re.fullmatch(r"[+-]?(\d+\.?|\d*\.\d+)(e[+-]?\d+)?", text, re.I) else text

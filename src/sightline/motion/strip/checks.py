@@ -24,6 +24,8 @@ SAME_TONE = 0.1
 FEWEST_WINDOWS = 20
 #: Rows of windows that are asked where they lie: evenly spread, of however long a strip.
 ROWS_ASKED = 200
+#: Lines by which images are known to be one, evenly spread.
+LINES_COMPARED = 9
 #: rad; angles of the motion are small: control points further from where the cameras see them are mistakes.
 FARTHEST = 0.1
 
@@ -53,6 +55,23 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
         _check_features(strip, options)
     _check_control(strip)
     return replace(strip, known=known_content(strip))
+
+
+def check_images(strip: Strip) -> None:
+    """InputError where two images that show something are the same."""
+    known: dict[tuple[tuple[int, int], bytes], str] = {}
+    for band in strip.bands:
+        lines, columns = band.image.shape
+        rows = np.unique(np.linspace(0, lines - 1, LINES_COMPARED).astype(int))
+        seen = np.concatenate([band.image.read((int(row), int(row) + 1), (0, columns)) for row in rows])
+        if (seen == seen.flat[0]).all() or not np.isfinite(seen).any():
+            continue
+        other = known.setdefault(((lines, columns), seen.tobytes()), band.name)
+        if other != band.name:
+            raise InputError(
+                f"the images of {other!r} and {band.name!r} are the same, pixel for pixel, which no two "
+                "detector lines see; give the image of each"
+            )
 
 
 def known_content(strip: Strip) -> KnownContent:

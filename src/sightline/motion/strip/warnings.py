@@ -219,6 +219,8 @@ def _sensor_warnings(strip: Strip, estimate: JointEstimate) -> list[str]:
     if strip.control is not None and "control points" not in {use.kind for use in used}:
         out.append("no control point is seen where its image says: they take no part; check x, y, z and line")
     for use in used:
+        if use.kind == "control points" and use.used < use.given:
+            out.append(_beyond_image(use.given - use.used, use.given))
         off = _factor_words(use.sigma_factor)
         if off:
             out.append(
@@ -226,6 +228,14 @@ def _sensor_warnings(strip: Strip, estimate: JointEstimate) -> list[str]:
                 "much less; check its sigma, its axes (alignment_sigma) and its times"
             )
     return out
+
+
+def _beyond_image(number: int, given: int) -> str:
+    """That so many control points of those given take no part."""
+    return (
+        f"{number} of {given} control points lie beyond the image, or so near its ends that the camera as "
+        "given does not show them, and take no part"
+    )
 
 
 def _factor_words(factors: tuple[float, ...]) -> str:
@@ -280,10 +290,7 @@ def control_warnings(
         )
     given = 0 if strip.control is None else len(strip.control.sigma)
     if given > len(fit.kept):
-        out.append(
-            f"{given - len(fit.kept)} of {given} control points lie beyond the image, or so near its ends "
-            "that the camera as given does not show them, and take no part"
-        )
+        out.append(_beyond_image(given - len(fit.kept), given))
     lost = int((~fit.kept).sum())
     if lost:
         out.append(
