@@ -21,7 +21,9 @@ from sightline.io.formats.ccsds import write_aem
 from sightline.writing import (
     creation_date,
     is_complete,
+    let_go,
     must_fit,
+    scratch_array,
     scratch_folder,
     scratch_in,
     whole,
@@ -184,6 +186,41 @@ def test_scratch_files_go_beside_the_result_unless_the_user_says_where(tmp_path,
     with pytest.raises(OSError) as raised, scratch_folder():
         raise full
     assert Path(raised.value.filename).parent == tmp_path / "chosen"
+
+
+def resident(kind):
+    """MiB of this process in memory of a kind, as Linux tells."""
+    found = re.search(rf"{kind}:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert found is not None
+    return int(found[1]) / 1024
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux alone tells of pages")
+def test_pages_of_scratch_arrays_leave_the_memory_and_keep_what_they_hold(tmp_path):
+    with scratch_in(tmp_path):
+        array = scratch_array((40, 1 << 17))
+        before = resident("RssAnon"), resident("RssFile")
+        array[:] = np.arange(40.0)[:, None]
+        # 40 MiB were written, to a file without name
+        assert resident("RssAnon") - before[0] < 4 and resident("RssFile") - before[1] > 36
+        let_go()
+        assert resident("RssFile") - before[1] < 4
+        np.testing.assert_array_equal(array[:, [0, -1]], np.tile(np.arange(40.0)[:, None], 2))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scratch_array_is_of_zeros_and_one_that_has_no_room_is_a_clear_error(tmp_path, monkeypatch):
+    for shape in ((0, 3), (5,), (300, 300)):
+        assert not scratch_array(shape, np.float32).any()
+    monkeypatch.delenv("TMPDIR", raising=False)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    with scratch_in(tmp_path), pytest.raises(OSError, match="No space left") as caught:
+        scratch_array((1 << 20,))
+    assert caught.value.filename == str(tmp_path)
 
 
 @pytest.mark.parametrize(

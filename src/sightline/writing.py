@@ -1,5 +1,7 @@
 """Writing files: whole or not at all, with errors that name them, and the date that stands in them.
 
+Scratch files too, and arrays that lie in such.
+
 Not here: the folder of a command's results (``output/``), what is written.
 """
 
@@ -7,6 +9,8 @@ from __future__ import annotations
 
 import errno
 import logging
+import math
+import mmap
 import os
 import shutil
 import struct
@@ -16,7 +20,12 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO
+from threading import Lock
+from typing import Any, BinaryIO
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from sightline.errors import InputError
 from sightline.execution import size_words
@@ -35,8 +44,13 @@ _BLOCKS = {tag for pair in _BLOCK_PAIRS for tag in pair}
 _WHOLE_NUMBERS = {3: "H", 4: "L", 16: "Q"}
 #: How the raster library begins the line of its log that names an error.
 _GDAL_ERROR = "GDAL signalled an error"
+#: Bytes from which on an array of `scratch_array` lies in a file, and of zeros that are written at a time.
+_IN_FILE, _ZEROS = 1 << 19, 1 << 20
 
 _scratch: ContextVar[Path | None] = ContextVar("_scratch", default=None)
+#: The scratch files that arrays lie in, made on any thread.
+_mapped: WeakSet[mmap.mmap] = WeakSet()
+_mapping = Lock()
 
 
 @contextmanager
@@ -241,6 +255,47 @@ def scratch_folder() -> Iterator[Path]:
                 raise
             with naming_file(Path(folder)):
                 raise
+
+
+def scratch_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Zeros (`shape`) in memory or, where they are large, in the pages of a scratch file without name.
+
+    The file lasts as long as the array or a view of it. What is read or written comes into memory, and stays
+    there until `let_go`.
+    """
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size < _IN_FILE:
+        return np.zeros(shape, dtype)
+    place = scratch_place()
+    with naming_file(place or Path(tempfile.gettempdir())), tempfile.TemporaryFile(dir=place) as file:
+        _reserve(file, size)
+        mapped = mmap.mmap(file.fileno(), size)
+    with _mapping:
+        _mapped.add(mapped)
+    return np.ndarray(shape, dtype, buffer=mapped)
+
+
+def _reserve(file: BinaryIO, size: int) -> None:
+    """Make a file of zeros that has its room: a disk that fills up under its pages would end the process."""
+    if hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+            return
+        except OSError as error:  # a file system that cannot
+            if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):
+                raise
+    for begin in range(0, size, _ZEROS):
+        file.write(bytes(min(_ZEROS, size - begin)))
+    file.flush()
+
+
+def let_go() -> None:
+    """Pages of scratch files leave the memory of this process; what they hold is read again when needed."""
+    if hasattr(mmap, "MADV_DONTNEED"):
+        with _mapping:
+            files = list(_mapped)
+        for mapped in files:
+            mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def creation_date() -> datetime:

@@ -13,6 +13,7 @@ Not here: where the rows come from (``prior.py``, ``series.py``).
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -29,13 +30,15 @@ from scipy.linalg.lapack import dtrtri
 
 from sightline.compiled import njit
 from sightline.errors import EstimationError, InputError
-from sightline.writing import naming_file, scratch_place
+from sightline.writing import let_go, naming_file, scratch_array, scratch_place
 
 Array = NDArray[np.float64]
 
 
 #: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
 PIECE_BYTES, HELD_BYTES = 12_000_000, 12_000_000
+#: Unknowns of arrays beside a band that are worked on at a time.
+ROWS_AT_ONCE = 32768
 #: Right sides from which on one sweep over the factor for all of them beats one sweep each (LAPACK's way).
 SWEEP_COLUMNS = 8
 
@@ -255,12 +258,29 @@ class BandedFactor:
         """Solution x of M x = rhs; `rhs` is (n,) or (n, k) and x has the same shape."""
         if len(self._spans) == 1 and (rhs.ndim == 1 or rhs.shape[1] < SWEEP_COLUMNS):
             return np.asarray(cho_solve_banded((self.lower, True), rhs, check_finite=False), dtype=np.float64)
-        x = np.array(rhs.reshape(len(rhs), -1), dtype=np.float64, order="C")
+        x = self._copied(rhs)
         for number, (first, _) in enumerate(self._spans):
             sweep_forward(self._piece(number), x, first)
+            self._let_go()
         for number, (first, _) in reversed(list(enumerate(self._spans))):
             sweep_backward(self._piece(number), x, first)
+            self._let_go()
         return x.reshape(rhs.shape)
+
+    def _copied(self, rhs: Array) -> Array:
+        """Right sides as (n, k) that may be written to, in a scratch array where the factor has pieces."""
+        if len(self._spans) == 1:
+            return np.array(rhs.reshape(len(rhs), -1), dtype=np.float64, order="C")
+        x = scratch_array((len(rhs), math.prod(rhs.shape[1:])))
+        for first, last in self._spans:
+            x[first:last] = rhs[first:last].reshape(last - first, -1)
+            self._let_go()
+        return x
+
+    def _let_go(self) -> None:
+        """Scratch arrays leave the memory after a piece; of one piece alone nothing would be gained."""
+        if len(self._spans) > 1:
+            let_go()
 
     def inverse_pieces(self, width: int) -> Iterator[tuple[int, Array]]:
         """Pieces of `inverse_band`, the last first: first column, band (width + 1, m)."""
@@ -288,9 +308,10 @@ class BandedFactor:
         """
         if width < 0:
             raise InputError(f"`width` must be 0 or more, got {width}")
-        out = np.empty((width + 1, self._n))
+        out = scratch_array((width + 1, self._n))
         for first, band in self.inverse_pieces(width):
             out[:, first : first + band.shape[1]] = band
+            self._let_go()
         for d in range(1, min(width, self._n - 1) + 1):
             out[d, self._n - d :] = 0.0
         return out
@@ -426,7 +447,7 @@ class BorderedFactor:
         if tied is None:
             tied = self._banded.solve(border) if border.shape[1] else np.zeros((n, 0))
         self._tied: Array = tied
-        schur = corner - border.T @ self._tied
+        schur = corner - products(border, self._tied)
         # Unknowns of the border may have any unit: scale before factoring.
         self._scale = np.sqrt(np.maximum(np.diag(corner), np.finfo(float).tiny))
         scaled = schur / np.outer(self._scale, self._scale)
@@ -463,8 +484,11 @@ class BorderedFactor:
         """Solution (x, y) of A x + B y = b, B' x + D y = d; `b` is (n,) or (n, k), `d` (q,) or (q, k)."""
         if self.q == 0:
             return self._banded.solve(b), np.zeros_like(d)
-        y = self._solve_schur(d - self._tied.T @ b)
-        return self._banded.solve(b) - self._tied @ y, y
+        y = self._solve_schur(d - products(self._tied, b))
+        x = self._banded.solve(b)
+        for some in _rows(self.n):
+            x[some] -= self._tied[some] @ y
+        return x, y
 
     def times(self, directions: Array) -> tuple[Array, Array]:
         """Inverse times [directions; 0]: its (n, k) and (q, k) parts; `directions` is (n, k) or (n,)."""
@@ -501,13 +525,32 @@ class BorderedFactor:
         """Band of the (n, n) block of the inverse, ``out[d, j]``, shape (width + 1, n)."""
         result = self._banded.inverse_band(width)
         if self.q:
-            half = solve_triangular(
-                self._schur[0], (self._tied / self._scale).T, lower=True, check_finite=False
-            ).T
             n = self.n
-            for d in range(min(width, n - 1) + 1):
-                result[d, : n - d] += np.einsum("ij,ij->j", half.T[:, d:], half.T[:, : n - d])
+            for some in _rows(n):
+                # with the rows that the band reaches beyond them
+                tied = self._tied[some.start : min(some.stop + width, n)] / self._scale
+                half = solve_triangular(self._schur[0], tied.T, lower=True, check_finite=False)
+                for d in range(min(width, n - 1) + 1):
+                    count = min(some.stop, n - d) - some.start
+                    part = np.einsum("ij,ij->j", half[:, d : d + count], half[:, :count])
+                    result[d, some.start : some.start + count] += part
         return result
+
+
+def _rows(n: int) -> Iterator[slice]:
+    """So many unknowns, some at a time; scratch arrays of more leave the memory in between."""
+    for begin in range(0, n, ROWS_AT_ONCE):
+        yield slice(begin, min(begin + ROWS_AT_ONCE, n))
+        if n > ROWS_AT_ONCE:
+            let_go()
+
+
+def products(a: Array, b: Array) -> Array:
+    """``a' b`` of arrays as long as a band, (n, p) and (n,) or (n, k): (p, ...)."""
+    out = np.zeros((a.shape[1], *b.shape[1:]))
+    for some in _rows(len(a)):
+        out += a[some].T @ b[some]
+    return out
 
 
 def dense_columns(lower: Array, keep: int) -> tuple[Array, Array]:

@@ -109,6 +109,8 @@ BROADBAND = -1
 #: How far a tone may be from where it was found, in units of one over the length of the data, and at how many
 #: places; its frequency tells its size where it is seen alike, to this share, wherever it may be.
 DOUBT, DOUBT_PLACES, CLEAR = 1.0, 101, 0.05
+#: Values of waves that are held at a time.
+_WAVES = 300_000
 #: Steps of the logarithm of the noise's scale by which its best one is found beside a size.
 SCALE_STEP = 0.1
 #: Least and largest scale of the noise.
@@ -538,8 +540,15 @@ class Search:
     ) -> tuple[Array, Array, Array, Array]:
         """Scores (N,) of cosine and of sine, those of two phases that err independently (N, 2), F of these.
 
-        The better seen of the two phases is the first.
+        The better seen of the two phases is the first. Of long series some frequencies are looked at a time.
         """
+        groups = min(len(frequency) * now.equations.grid.count // _WAVES + 1, max(len(frequency), 1))
+        parts = [self._score_of_few(now, u, few) for few in np.array_split(frequency, groups)]
+        c, s, score, seen = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return c, s, score, seen
+
+    def _score_of_few(self, now: Posterior, u: Array, frequency: Array) -> tuple[Array, Array, Array, Array]:
+        """The same of frequencies whose waves are held together."""
         e = now.equations
         phase = 2.0 * math.pi * np.outer(e.grid.step * np.arange(e.grid.count), frequency)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)

@@ -8,6 +8,7 @@ Not here: the exceptions themselves (``errors.py``).
 
 from __future__ import annotations
 
+from mmap import mmap
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ def frozen(values: ArrayLike) -> Array:
         owner: Any = values
         while isinstance(owner, np.ndarray) and not owner.flags.writeable:
             owner = owner.base
-        if owner is None:
+        if owner is None or isinstance(owner, mmap):
             return values
     array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)

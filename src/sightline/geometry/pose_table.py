@@ -16,6 +16,10 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, read_only
 from sightline.geometry.interpolation import POINTS, interpolate
 from sightline.geometry.pointing import FixedMount, Pointing, pointing_matrices
 from sightline.geometry.trajectory import MeanPose, Trajectory
+from sightline.writing import let_go, scratch_array
+
+#: Lines whose poses are found at a time.
+_AT_ONCE = 16384
 
 
 def camera_poses(
@@ -110,11 +114,14 @@ class PoseTable(ReadOnlyArrays):
 
         Fewer lines than a cubic needs become samples of the polynomial through them.
         """
-        world_from_camera, position = camera_poses(t, trajectory, pointing, lever_arm, around, lean)
-        origin = position.mean(axis=0)
-        rows = np.empty((len(t), ROW))
-        rows[:, :9] = world_from_camera.reshape(-1, 9)
-        rows[:, 9:] = position - origin
+        rows = scratch_array((len(t), ROW))
+        for begin in range(0, len(t), _AT_ONCE):
+            some = slice(begin, begin + _AT_ONCE)
+            attitude, rows[some, 9:] = camera_poses(t[some], trajectory, pointing, lever_arm, around, lean)
+            rows[some, :9] = attitude.reshape(-1, 9)
+        origin = rows[:, 9:].mean(axis=0)
+        rows[:, 9:] -= origin
+        let_go()
         if len(rows) < POINTS:
             nodes, places = np.arange(float(len(rows))), np.arange(float(POINTS))
             rows = interpolate(read_only(nodes), read_only(rows), read_only(places))

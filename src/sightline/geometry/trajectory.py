@@ -34,8 +34,8 @@ from sightline.geometry.interpolation import interpolate, interpolate_hermite, s
 #: Times this close beyond a span count as its end (s): ten times the float64 step of t at one day.
 TIME_SLACK = 1e-10
 #: Tables of reference poses that a trajectory keeps: two for each number of stages of each band, and fewer
-#: where they are long, so that poses of 56 bytes stay below 250 MB; and the shortest (rows) kept at all.
-_KEPT, _KEPT_ROWS, _WORTH_KEEPING = 64, 4_000_000, 200
+#: where they are long, so that poses of 56 bytes stay below 12 MB; and the shortest (rows) kept at all.
+_KEPT, _KEPT_ROWS, _WORTH_KEEPING = 64, 200_000, 200
 #: Held while tables are kept and dropped: threads share them.
 _KEEPING = threading.Lock()
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.matching import kernels
+from sightline.writing import let_go, scratch_array
 
 __all__ = [
     "agreement_of_gradients",
@@ -20,6 +21,8 @@ __all__ = [
 
 _BATCH_PIXELS = 1 << 20
 _PRIOR_WINDOWS = 3.0
+#: Windows whose covariance is found at a time.
+_AT_ONCE = 16384
 _MOST_DIRECT = 500
 """Places up to which correlation term by term is faster than the Fourier transform."""
 
@@ -201,22 +204,29 @@ def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDAr
     of the score between column blocks of a window (neighbours' products included, the share that the fit
     removes restored) over s^2 G, averaged over the good windows; few windows lean towards K = 1.
     """
-    n = len(fits)
-    covariance = np.full((n, 2, 2), np.nan)
-    done = fits[:, 14] > 0
-    f = fits[done]
-    if not len(f):
-        return covariance
-    good = kept[done]
+    covariance = scratch_array((len(fits), 2, 2))
+    factor = _score_factors(fits, kept & (fits[:, 14] > 0))
+    for begin in range(0, len(fits), _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        f, out = fits[some], covariance[some]
+        done = f[:, 14] > 0
+        f = f[done]
+        v = _symmetric(f[:, 5:8]) * f[:, 8][:, None, None] * np.outer(factor, factor)
+        inverse = np.linalg.inv(_symmetric(f[:, 2:5]))
+        out[done], out[~done] = inverse @ v @ inverse, np.nan
+        let_go()
+    return covariance
+
+
+def _score_factors(fits: NDArray[np.float64], good: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(2,) by how much residuals that are correlated make the score of line and column vary more."""
     factor = np.ones(2)
     for axis, (g, q) in enumerate(((5, 10), (7, 12))):
-        rows = good & (f[:, g] > 0) & (f[:, 8] > 0)
-        ratio, share = f[rows, q] / (f[rows, g] * f[rows, 8]), f[rows, q + 1]
+        rows = good & (fits[:, g] > 0) & (fits[:, 8] > 0)
+        ratio, share = fits[rows, q] / (fits[rows, g] * fits[rows, 8]), fits[rows, q + 1]
         sound = ratio <= 30.0 * np.median(ratio) if len(ratio) else np.zeros(0, np.bool_)
         # the products of neighbours can make the sum of a few windows negative: the prior stays half of it
         seen, expected = ratio[sound].sum() + _PRIOR_WINDOWS, share[sound].sum() + _PRIOR_WINDOWS
         factor[axis] = np.sqrt(max(seen, 0.5 * _PRIOR_WINDOWS) / max(expected, 0.5 * _PRIOR_WINDOWS))
-    v = _symmetric(f[:, 5:8]) * f[:, 8][:, None, None] * np.outer(factor, factor)
-    inverse = np.linalg.inv(_symmetric(f[:, 2:5]))
-    covariance[done] = inverse @ v @ inverse
-    return covariance
+        let_go()
+    return factor

@@ -22,6 +22,7 @@ from sightline.matching.correlate import (
 from sightline.matching.matches import Matches
 from sightline.matching.patches import Block, column_parts, cut_blocks, group_windows, warp_block
 from sightline.matching.whitening import Whitening, estimate_whitening
+from sightline.writing import let_go, scratch_array
 
 __all__ = ["match_images"]
 
@@ -30,6 +31,8 @@ MAX_MASKED = 0.2
 #: px; largest sigma of a match in any direction.
 MAX_SIGMA_PX = 0.5
 _BLOCK_PIXELS = 1_500_000
+#: Windows of which covariances are found at a time.
+_AT_ONCE = 16384
 _ITERATIONS = 12
 _TOLERANCE_PX = 0.01
 _MAX_SATURATED = 0.1
@@ -147,10 +150,17 @@ def match_images(
     centre_b = predicted_b + moved + np.einsum("nij,nj->ni", linear, moved)
     status = np.full(len(points_a), matches.OUTSIDE, np.uint8)
     parts = column_parts(linear, window)
-    inside = _inside(centre_a, centre_b, linear, size, image_a.shape, image_b.shape)
+    inside = np.zeros(len(points_a), dtype=bool)
+    for some in _stretches(len(inside)):
+        places = centre_a[some], centre_b[some], linear[some]
+        inside[some] = _inside(*places, size, image_a.shape, image_b.shape)
     reach = (search_px[0] + int(np.ceil(max_shift_px)) + 1, search_px[1] + int(np.ceil(max_shift_px)) + 1)
-    fits = np.full((len(points_a), kernels.COLUMNS), np.nan)
-    turns = np.broadcast_to(np.eye(2), (len(points_a), 2, 2)).copy()
+    # a column after the other: what is pooled takes some columns of all windows
+    fits = scratch_array((kernels.COLUMNS, len(points_a))).T
+    for some in _stretches(len(fits)):
+        fits[some] = np.nan
+        let_go()
+    turns = None if affine is None else np.broadcast_to(np.eye(2), (len(points_a), 2, 2)).copy()
 
     def work(job: tuple[int, NDArray[np.intp]]) -> None:
         part, rows = job
@@ -164,7 +174,9 @@ def match_images(
         status[rows], fits[rows] = _match_block(
             block, window, search_px, max(part, 1), max_shift_px, max_masked
         )
-        turns[rows] = block.turn
+        if turns is not None:
+            turns[rows] = block.turn
+        let_go()
 
     jobs = [
         (int(part), group)
@@ -207,7 +219,7 @@ def _checked(
     if min(search_px) < 0:
         raise InputError(f"`search_px` is {tuple(search_px)}; 0 or more pixels are allowed; 0 = no search")
     if affine is None:
-        return points_a, predicted_b, np.zeros((len(points_a), 2, 2))
+        return points_a, predicted_b, np.broadcast_to(np.zeros((2, 2)), (len(points_a), 2, 2))
     affine = np.ascontiguousarray(affine, dtype=np.float64)
     if affine.shape != (len(points_a), 2, 2):
         raise InputError(
@@ -313,11 +325,16 @@ def _match_block(
     return status, fits
 
 
+def _stretches(count: int) -> list[slice]:
+    """So many windows, some at a time."""
+    return [slice(begin, begin + _AT_ONCE) for begin in range(0, count, _AT_ONCE)]
+
+
 def _assemble(
     points_a: NDArray[np.float64],
     predicted_b: NDArray[np.float64],
     fits: NDArray[np.float64],
-    turns: NDArray[np.float64],
+    turns: NDArray[np.float64] | None,
     status: NDArray[np.uint8],
     min_score: float,
     chance: float,
@@ -325,14 +342,26 @@ def _assemble(
 ) -> Matches:
     """Matches from fits: thresholds of quality, common factors of the covariance."""
     kept = status == matches.KEPT
-    score = np.where(kept, np.clip(fits[:, 9], 0.0, 1.0), np.nan)
-    status[kept & ~(score >= min_score)] = matches.LOW_SCORE
-    status[(status == matches.KEPT) & ~(agreement_of_gradients(fits) >= chance)] = matches.TEXTURELESS
+    score, b = scratch_array((len(fits),)), scratch_array((len(fits), 2))
+    for some in _stretches(len(fits)):
+        score[some] = np.where(kept[some], np.clip(fits[some, 9], 0.0, 1.0), np.nan)
+        low = kept[some] & ~(score[some] >= min_score)
+        alike = agreement_of_gradients(fits[some]) >= chance
+        status[some][low] = matches.LOW_SCORE
+        status[some][kept[some] & ~low & ~alike] = matches.TEXTURELESS
+        let_go()
     covariance = pair_covariances(fits, status == matches.KEPT)
-    covariance = turns @ covariance @ turns.transpose(0, 2, 1)
-    weak = ~(matches.largest_sigma(covariance) <= max_sigma_px)
-    status[(status == matches.KEPT) & weak] = matches.TEXTURELESS
-    fitted = kept[:, None] & np.isfinite(fits[:, :2])
-    b = np.where(fitted, predicted_b + np.einsum("nij,nj->ni", turns, fits[:, :2]), np.nan)
-    covariance = np.where(fitted[:, :1, None], covariance, np.nan)
+    for some in _stretches(len(fits)):
+        own, shift = covariance[some], fits[some, :2]
+        if turns is not None:
+            own = turns[some] @ own @ turns[some].transpose(0, 2, 1)
+            shift = np.einsum("nij,nj->ni", turns[some], shift)
+        weak = ~(matches.largest_sigma(own) <= max_sigma_px)
+        status[some][(status[some] == matches.KEPT) & weak] = matches.TEXTURELESS
+        fitted = kept[some, None] & np.isfinite(fits[some, :2])
+        b[some] = np.where(fitted, predicted_b[some] + shift, np.nan)
+        covariance[some] = np.where(fitted[:, :1, None], own, np.nan)
+        let_go()
+    for array in (b, covariance, score, status):
+        array.setflags(write=False)
     return Matches(points_a, b, covariance, score, status)

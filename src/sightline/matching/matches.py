@@ -61,7 +61,10 @@ class Matches:
         shapes = {"a": (n, 2), "b": (n, 2), "covariance_px": (n, 2, 2), "score": (n,), "status": (n,)}
         for name, shape in shapes.items():
             dtype = np.uint8 if name == "status" else np.float64
-            array = np.array(getattr(self, name), dtype=dtype)
+            array = getattr(self, name)
+            # what is read-only already is not copied: of long strips all are large
+            if not isinstance(array, np.ndarray) or array.flags.writeable or array.dtype != dtype:
+                array = np.array(array, dtype=dtype)
             if array.shape != shape:
                 raise InputError(
                     f"matches refused: `{name}` has shape {array.shape}; {shape} is needed for {n} points; "

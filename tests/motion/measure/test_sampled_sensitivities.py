@@ -18,13 +18,20 @@ AHEAD = (120.0, -80.0)
 GRID = window_grid((600, 320), (10, 20), 30)
 
 
+def sensitivities_of_all(cameras, grid, seen, statics):
+    """Those of every window of a grid, (G, 2, 7 + Q); zeros where no window is seen."""
+    out = np.zeros((len(grid.centres), 2, 7 + len(statics)))
+    for some, values in sampled_sensitivities(cameras, 0, 1, Plane(), grid, seen, statics, grid.centres):
+        out[some] = values
+    return out
+
+
 def test_every_window_between_the_samples_has_the_sensitivity_of_its_place():
     cameras = strip_cameras(AHEAD)
     statics = band_statics(given_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
     seen = GRID.centres[:, 0] + 200 < 590
-    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, statics, GRID.centres)
-    assert got.shape == (len(GRID.centres), 2, 9) and got.dtype == np.float32
-    # 0.1 px/rad of the finite differences (see test_predict); float32 of values up to 2e5 px/rad adds 0.01
+    got = sensitivities_of_all(cameras, GRID, seen, statics)
+    # 0.1 px/rad of the finite differences (see test_predict)
     assert_allclose(got[..., 0:3], -moved_by_turn(GRID.centres, AHEAD[0]), atol=0.12)
     assert_allclose(got[..., 3:6], moved_by_turn(GRID.centres, AHEAD[1]), atol=0.12)
     height = np.tile([-(AHEAD[0] - AHEAD[1]) / ALTITUDE, 0.0], (len(got), 1))
@@ -40,9 +47,7 @@ def test_every_row_has_the_sensitivity_of_its_own_motion():
     growth, lag = 0.3, 200 * PERIOD
     cameras = strip_cameras(AHEAD, motion=sampled_motion(yaw=lambda t: growth * t**2))
     grid = window_grid((380, 320), (10, 100), 40)
-    got = sampled_sensitivities(
-        cameras, 0, 1, Plane(), grid, np.ones(len(grid.centres), bool), [], grid.centres
-    )
+    got = sensitivities_of_all(cameras, grid, np.ones(len(grid.centres), bool), [])
     t = grid.centres[:, 0] * PERIOD
     turned = growth * ((t + lag) ** 2 - t**2 / 2)
     # while the partner waits, the body yaws by 2 c t < 0.18 rad/s at a field of 8e-4, against V / H =
@@ -54,7 +59,7 @@ def test_every_row_has_the_sensitivity_of_its_own_motion():
 def test_rows_whose_partner_is_not_seen_take_the_nearest_row_that_is():
     cameras = strip_cameras(AHEAD)
     seen = (GRID.centres[:, 0] > 100) & (GRID.centres[:, 0] < 300)
-    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, [], GRID.centres)
+    got = sensitivities_of_all(cameras, GRID, seen, [])
     assert_allclose(got[..., 3:6], moved_by_turn(GRID.centres, AHEAD[1]), atol=0.12)
 
 
@@ -72,7 +77,7 @@ def test_a_window_that_a_step_divides_moves_by_the_share_beyond_it():
         "second step across at column 105",
     ]
     seen = np.ones(len(GRID.centres), bool)
-    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, statics, GRID.centres)[..., 7:]
+    got = sensitivities_of_all(cameras, GRID, seen, statics)[..., 7:]
     # windows of 20 columns from 0 on: that of columns 100 to 119 has 15 of them beyond; the mean of all is 0
     beyond = np.clip((GRID.centres[:, 1] + 10.0 - 104.5) / 20.0, 0.0, 1.0) - (320 - 105) / 320
     assert_allclose(got[:, 0, 0], -beyond, atol=2e-5)
@@ -82,10 +87,7 @@ def test_a_window_that_a_step_divides_moves_by_the_share_beyond_it():
 
 def test_a_partner_that_sees_nothing_has_no_sensitivity():
     cameras = strip_cameras(AHEAD)
-    got = sampled_sensitivities(
-        cameras, 0, 1, Plane(), GRID, np.zeros(len(GRID.centres), bool), [], GRID.centres
-    )
-    assert got.shape == (len(GRID.centres), 2, 7) and not got.any()
+    assert not sensitivities_of_all(cameras, GRID, np.zeros(len(GRID.centres), bool), []).any()
 
 
 def test_a_window_over_the_border_has_the_mean_of_what_lies_inside():

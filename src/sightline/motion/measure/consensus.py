@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from sightline.compiled import njit
 from sightline.motion.measure.bright_layer import RowShifts, bright_windows, sum_along, sum_beside
 from sightline.motion.measure.observations import Star
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -91,10 +92,14 @@ def ground_weights(stars: Sequence[Star], post_px: Sequence[Array], relief_sigma
 
 def _pair_weights(star: Star, foreign: Array) -> Array:
     """Weights (G, K) of the pairs of windows whose worst departure has this squared size, (rows, blocks)."""
-    squared = foreign.reshape(-1, 1)
-    ground = squared <= FOREIGN
-    sensitivity = _sensitivity(star, _relative_lags(star))
-    return np.where(ground, _weight(np.where(ground, squared, 0.0) * sensitivity), 0.0)
+    lag = _relative_lags(star)
+
+    def weights(squared: Array, residual_px: Array, covariance_px: Array) -> Array:
+        ground = squared <= FOREIGN
+        sensitivity = _sensitivity(residual_px, covariance_px, lag)
+        return np.where(ground, _weight(np.where(ground, squared, 0.0) * sensitivity), 0.0)
+
+    return star.each(weights, foreign.reshape(-1, 1), star.residual_px, star.covariance_px)
 
 
 def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> Array:
@@ -104,7 +109,9 @@ def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> A
         return least
     shift = _common_shift(star, post_px)
     reaches = _reaches(star)
-    matched = np.asarray(np.isfinite(post_px).all(axis=-1)).any(axis=1).reshape(rows, blocks)
+    matched = star.each(lambda post: np.isfinite(post).all(axis=-1).any(axis=1), post_px).reshape(
+        rows, blocks
+    )
     seen = shift.seen
     shift = replace(shift, seen=seen & ~_lonely(seen, reaches[0]))
     shift = shift.scaled(_row_noise(shift, reaches[0]))
@@ -237,14 +244,20 @@ def _common_shift(star: Star, post_px: Array) -> _Shift:
     """Least-squares shift of each window that grows with lag, from all its pairs."""
     rows, blocks = star.shape
     lag = _relative_lags(star)
-    variance = np.stack([star.covariance_px[..., 0, 0], star.covariance_px[..., 1, 1]], axis=-1)
-    present = np.isfinite(post_px).all(axis=-1, keepdims=True) & np.isfinite(variance)
-    share = np.where(present, lag[:, None] / np.where(present, variance, 1.0), 0.0)
-    information = (share * lag[:, None]).sum(axis=1)
-    seen = (information > 0).all(axis=1)
-    information = np.where(seen[:, None], information, 1.0)
-    value = np.where(seen[:, None], (share * np.where(present, post_px, 0.0)).sum(axis=1) / information, 0.0)
-    value, variance = value.reshape(rows, blocks, 2), (1.0 / information).reshape(rows, blocks, 2)
+    shifts, seen = np.empty((2, len(post_px), 2)), np.empty(len(post_px), dtype=bool)
+    for some in star.stretches():
+        post, covariance = post_px[some], star.covariance_px[some]
+        own = np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1)
+        present = np.isfinite(post).all(axis=-1, keepdims=True) & np.isfinite(own)
+        share = np.where(present, lag[:, None] / np.where(present, own, 1.0), 0.0)
+        information = (share * lag[:, None]).sum(axis=1)
+        known = (information > 0).all(axis=1)
+        information = np.where(known[:, None], information, 1.0)
+        shift = (share * np.where(present, post, 0.0)).sum(axis=1) / information
+        shifts[:, some] = np.where(known[:, None], shift, 0.0), 1.0 / information
+        seen[some] = known
+        let_go()
+    value, variance = shifts.reshape(2, rows, blocks, 2)
     x = star.field.reshape(rows, blocks)[0]
     return _Shift(x, lag, value, variance, seen.reshape(rows, blocks), _reaches(star)[-1], np.zeros(2))
 
@@ -254,18 +267,19 @@ def _relative_lags(star: Star) -> Array:
 
     Where partners have finer pixels than the hub it is times so many: residuals are in pixels of the partner.
     """
-    apart = star.t - star.t_hub[:, None]
-    seen = np.isfinite(apart)
-    lag = np.array([np.median(apart[s, k]) if s.any() else 0.0 for k, s in enumerate(seen.T)])
+    apart = (star.t[:, k] - star.t_hub for k in range(star.t.shape[1]))
+    seen = (lags[np.isfinite(lags)] for lags in apart)
+    lag = np.array([np.median(lags) if len(lags) else 0.0 for lags in seen])
+    let_go()
     lag = lag * np.array(star.fineness or 1.0)
     return np.asarray(lag / max(float(np.abs(lag).max()), 1e-12))
 
 
-def _sensitivity(star: Star, lag: Array) -> Array:
+def _sensitivity(residual_px: Array, covariance_px: Array, lag: Array) -> Array:
     """(G, K): how much of a window's evidence against it bears on each of its pairs."""
     with np.errstate(invalid="ignore"):
-        size = lag**2 / np.maximum(np.trace(star.covariance_px, axis1=2, axis2=3), 1e-30)
-    size = np.where(np.isfinite(star.residual_px[..., 0]), size, 0.0)
+        size = lag**2 / np.maximum(np.trace(covariance_px, axis1=2, axis2=3), 1e-30)
+    size = np.where(np.isfinite(residual_px[..., 0]), size, 0.0)
     return np.asarray(size / np.maximum(size.max(axis=1, keepdims=True), 1e-30))
 
 
@@ -277,6 +291,7 @@ def _by_height(star: Star, lag: Array) -> Array:
         if known.any():
             shift += lag[k] * np.median(star.by_height[known, k], axis=0)
             size += lag[k] ** 2
+    let_go()
     return np.asarray(shift / max(size, 1e-30), dtype=np.float64)
 
 

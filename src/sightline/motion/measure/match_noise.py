@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from sightline.estimation.robust import robust_sigmas
 from sightline.motion.measure.observations import Star, scale_residuals, shared_image_correlation
+from sightline.motion.measure.windows import stretches
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 
@@ -41,6 +43,8 @@ SOFT, REJECT = 3.0, 5.0
 LEAST_BESIDE, MOST_BESIDE = 6, 4.0
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
+#: Windows over which products are summed at a time.
+SUMMED = 65536
 #: Least eigenvalue of a covariance of pairs, scaled to a diagonal of 1.
 LEAST_SHARE = 0.05
 
@@ -65,11 +69,21 @@ def scatter(star: Star, post_px: Array, least: int = MIN_BLOCKS) -> tuple[Array,
     """
     rows, blocks = star.shape
     pairs = star.t.shape[1]
-    z = scale_residuals(post_px, star.covariance_px) * np.sqrt(np.repeat(star.weight, 2, axis=1))
-    z = z.reshape(rows, blocks, 2 * pairs)
-    present = np.repeat(star.present.reshape(rows, blocks, pairs), 2, axis=2)
-    w = (present & np.isfinite(z)).astype(float)
-    x = star.field.reshape(rows, blocks)[:, :, None]
+    z, degrees, present = scratch_array((rows, blocks, 2 * pairs)), np.zeros((rows, 2 * pairs)), star.present
+    for some in star.stretches():
+        here = slice(some.start // blocks, some.stop // blocks)
+        scaled = scale_residuals(post_px[some], star.covariance_px[some])
+        scaled = (scaled * np.sqrt(np.repeat(star.weight[some], 2, axis=1))).reshape(-1, blocks, 2 * pairs)
+        seen = np.repeat(present[some].reshape(-1, blocks, pairs), 2, axis=2) & np.isfinite(scaled)
+        field = star.field[some].reshape(-1, blocks)[:, :, None]
+        z[here], degrees[here] = _about_lines(scaled, seen, field, least)
+        let_go()
+    return z, degrees
+
+
+def _about_lines(z: Array, seen: NDArray[np.bool_], x: Array, least: int) -> tuple[Array, Array]:
+    """Residuals (rows, blocks, 2K) less the line of their row over the places `x`, and degrees of freedom."""
+    w = seen.astype(float)
     v = np.where(w > 0, z, 0.0)
     s0, s1, s2 = w.sum(1), (w * x).sum(1), (w * x * x).sum(1)
     y0, y1 = v.sum(1), (v * x).sum(1)
@@ -92,19 +106,28 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     start = shared_image_correlation(pairs)
     z, degrees = scatter(star, post_px, least_blocks(star))
     counted = float(degrees.sum()) / (2 * pairs)
-    if counted < fewest_degrees(star) or not np.isfinite(z).any(axis=(0, 1)).all():
+    finite = [np.isfinite(z[here]).any(axis=(0, 1)) for here in _rows(z)]
+    if counted < fewest_degrees(star) or not np.any(finite, axis=0).all():
         return start
-    clipped = np.clip(z, -CLIP, CLIP)
-    v = np.where(np.isfinite(clipped), clipped, 0.0)
-    seen = np.isfinite(clipped).astype(float)
-    # a row of n windows keeps n - 2 of its n squares
-    share = np.sqrt(np.where(degrees > 0, seen.sum(1) / np.maximum(degrees, 1.0), 0.0))
-    v = v * share[:, None, :]
+    v, known = scratch_array(z.shape), scratch_array(z.shape, bool)
+    for here in _rows(z):
+        clipped = np.clip(z[here], -CLIP, CLIP)
+        known[here] = np.isfinite(clipped)
+        # a row of n windows keeps n - 2 of its n squares
+        count = known[here].astype(float).sum(1)
+        share = np.sqrt(np.where(degrees[here] > 0, count / np.maximum(degrees[here], 1.0), 0.0))
+        v[here] = np.where(known[here], clipped, 0.0) * share[:, None, :]
+        let_go()
 
     def covariance(shift: int) -> Array:
-        first, second = v[: len(v) - shift], v[shift:]
-        both = np.einsum("rbi,rbj->ij", seen[: len(v) - shift], seen[shift:])
-        return np.asarray(np.einsum("rbi,rbj->ij", first, second) / np.maximum(both, 1.0))
+        total, both = np.zeros((2 * pairs, 2 * pairs)), np.zeros((2 * pairs, 2 * pairs))
+        for here in _rows(v[shift:], SUMMED):
+            later = slice(here.start + shift, here.stop + shift)
+            seen = known[here].astype(float), known[later].astype(float)
+            both += np.einsum("rbi,rbj->ij", *seen)
+            total += np.einsum("rbi,rbj->ij", v[here], v[later])
+            let_go()
+        return np.asarray(total / np.maximum(both, 1.0))
 
     total = plain = covariance(0)
     if counted < PLENTY:
@@ -241,8 +264,14 @@ def _error_beside(v: Array) -> Array:
     run = ROW_LAGS + 1
     if blocks < LEAST_BESIDE or rows < LEAST_BESIDE * run:
         return np.ones(2)
-    total = np.cumsum(np.concatenate([np.zeros_like(v[:1]), v]), axis=0)
-    runs = total[run:] - total[:-run]
+    products = np.zeros((2, blocks, blocks))
+    for here in _rows(v[run - 1 :], SUMMED):
+        part = v[here.start : here.stop + run - 1]
+        total = np.cumsum(np.concatenate([np.zeros_like(part[:1]), part]), axis=0)
+        runs = total[run:] - total[:-run]
+        for axis in range(2):
+            products[axis] += np.einsum("rbi,rci->bc", runs[:, :, axis::2], runs[:, :, axis::2])
+        let_go()
     x = np.linspace(-1.0, 1.0, blocks)
     line = np.stack([np.ones(blocks), x], axis=1)
     kept = np.eye(blocks) - line @ np.linalg.pinv(line)
@@ -250,9 +279,7 @@ def _error_beside(v: Array) -> Array:
     expected = [[np.trace(kept @ c @ kept, offset=d) for c in (np.eye(blocks), beside)] for d in range(5)]
     out = np.ones(2)
     for axis in range(2):
-        part = runs[:, :, axis::2]
-        product = np.einsum("rbi,rci->bc", part, part)
-        found = [np.trace(product, offset=d) for d in range(5)]
+        found = [np.trace(products[axis], offset=d) for d in range(5)]
         alone, shared = np.linalg.lstsq(np.array(expected), np.array(found), rcond=None)[0]
         rho = shared / max(float(alone), 1e-30)
         # of so many independent runs of windows; a correlation that chance makes as large is none
@@ -276,7 +303,9 @@ def row_weights(star: Star, post_px: Array) -> Array:
     inner = slice(ROW_REACH, ROW_REACH + rows)
     for k in range(pairs):
         both = slice(2 * k, 2 * k + 2)
-        squares = np.convolve(np.nansum(z[:, :, both] ** 2, axis=(1, 2)), kernel)[inner]
+        squares = np.concatenate([np.nansum(z[here, :, both] ** 2, axis=(1, 2)) for here in _rows(z)])
+        squares = np.convolve(squares, kernel)[inner]
+        let_go()
         count = np.convolve(degrees[:, both].sum(axis=1), kernel)[inner]
         seen = count > 0
         if seen.any():
@@ -291,21 +320,26 @@ def robust_weights(star: Star, post_px: Array) -> Array:
     Single mismatches; windows that saw something else than ground for longer: ``consensus.py``.
     """
     pairs = star.t.shape[1]
-    z = scale_residuals(post_px, star.covariance_px).reshape(-1, pairs, 2)
-    out = np.zeros((len(z), pairs))
+    out = scratch_array((len(post_px), pairs))
     for k in range(pairs):
-        finite = np.isfinite(z[:, k, 0])
+        z = star.each(scale_residuals, post_px[:, k : k + 1], star.covariance_px[:, k : k + 1])
+        finite = np.isfinite(z[:, 0])
         trusted = finite & (star.weight[:, k] > 0)
         if not trusted.any():
             trusted = finite
-        if finite.any():
-            distance = _distance(z[:, k], trusted)
-            keep = finite & (distance <= REJECT)
-            out[:, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
+        if not finite.any():
+            continue
+        # by the median, so that mismatches do not widen it
+        spread = np.maximum(robust_sigmas(z[trusted], axis=0), 1.0)
+        for some in star.stretches():
+            distance = np.sqrt(((z[some] / spread) ** 2).sum(axis=1))
+            keep = finite[some] & (distance <= REJECT)
+            out[some, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
+            let_go()
     return out
 
 
-def _distance(z: Array, trusted: NDArray[np.bool_]) -> Array:
-    """Distance (G,) from zero in robust sigmas; spread by the median, so that mismatches do not widen it."""
-    spread = np.maximum(robust_sigmas(z[trusted], axis=0), 1.0)
-    return np.asarray(np.sqrt(((z / spread) ** 2).sum(axis=1)))
+def _rows(z: Array, at_once: int = 8192) -> list[slice]:
+    """Rows of windows (rows, blocks, ...), some at a time."""
+    rows, blocks = z.shape[:2]
+    return [slice(some.start // blocks, some.stop // blocks) for some in stretches(rows, blocks, at_once)]

@@ -10,10 +10,15 @@ Not here: per-axis differences for S1's named methods (``motion/estimators/diffe
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sightline.motion.measure.windows import stretches
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 
@@ -127,10 +132,31 @@ class Star:
             out.append(self.with_weight(np.where(alike[:, None], self.weight, 0.0)))
         return out
 
+    def stretches(self) -> list[slice]:
+        """Whole rows of windows, some at a time."""
+        return stretches(*self.shape)
+
+    def each(self, function: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
+        """What a function of `arrays` (G, ...) gives window by window, as a scratch array."""
+        out: NDArray[Any] | None = None
+        for some in self.stretches() or [slice(0, 0)]:
+            values = function(*(array[some] for array in arrays))
+            if out is None:
+                out = scratch_array((len(self.t_hub), *values.shape[1:]), values.dtype)
+            out[some] = values
+            let_go()
+        assert out is not None
+        return out
+
     @property
     def present(self) -> NDArray[np.bool_]:
         """(G, K): matches that exist and carry weight."""
-        return np.asarray(np.isfinite(self.residual_px[..., 0]) & (self.weight > 0.0))
+
+        return self.each(
+            lambda residual, weight: np.isfinite(residual[..., 0]) & (weight > 0.0),
+            self.residual_px,
+            self.weight,
+        )
 
     def with_correlation(self, correlation: Array) -> Star:
         """The same star with another error correlation between its pairs."""

@@ -9,7 +9,7 @@ Not here: the exact values (``predict.sensitivities``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 #: Most rows computed exactly, and columns of each.
 LINE_SAMPLES, COLUMN_SAMPLES = 4096, 5
 #: Rows that are interpolated at once.
-AT_ONCE = 4096
+AT_ONCE = 512
 
 
 def sampled_sensitivities(
@@ -36,10 +36,11 @@ def sampled_sensitivities(
     statics: Sequence[StaticParameter],
     places: Array,
     width: float | None = None,
-) -> NDArray[np.float32]:
-    """Sensitivities of every window of a grid, (G, 2, 7 + Q) float32.
+) -> Iterator[tuple[slice, Array]]:
+    """Sensitivities of every window of a grid, some rows at a time; nothing where no window is seen.
 
-    Columns: by the hub's roll, pitch, yaw; by the partner's; by height; by each static parameter.
+    Yields which windows, and theirs, (n, 2, 7 + Q): by the hub's roll, pitch, yaw; by the partner's; by
+    height; by each static parameter.
 
     Parameters
     ----------
@@ -58,11 +59,10 @@ def sampled_sensitivities(
     own = statics
     statics = list(dict.fromkeys(parameter.whole or parameter for parameter in own))
     rows, blocks = grid.shape
-    out = np.zeros((rows * blocks, 2, 7 + len(own)), dtype=np.float32)
     table = seen.reshape(rows, blocks)
     usable = np.flatnonzero(table.any(axis=1))
     if len(usable) == 0:
-        return out
+        return
     at_rows = np.unique(np.linspace(0, len(usable) - 1, min(LINE_SAMPLES, len(usable))).round().astype(int))
     sample_rows = usable[at_rows]
     at_blocks = np.unique(np.linspace(0, blocks - 1, min(COLUMN_SAMPLES, blocks)).round().astype(int))
@@ -82,11 +82,11 @@ def sampled_sensitivities(
         whole = _fill_and_interpolate(across, sample_rows.astype(float), wanted).transpose(1, 0, 2)
         whole = whole.reshape(len(wanted) * blocks, 2, -1)
         here = slice(begin * blocks, (begin + len(wanted)) * blocks)
-        out[here, :, :7] = whole[..., :7]
-        for k, (column, share) in enumerate(zip(of_whole, shares, strict=True)):
-            moved = whole[..., column]
-            out[here, :, 7 + k] = moved if share is None else moved * share[here, None]
-    return out
+        values = np.concatenate([whole[..., :7], whole[..., of_whole]], axis=2)
+        for k, share in enumerate(shares):
+            if share is not None:
+                values[..., 7 + k] *= share[here, None]
+        yield here, values
 
 
 def _share(parameter: StaticParameter, columns: dict[int, tuple[Array, float]]) -> Array | None:

@@ -10,7 +10,7 @@ is done with the observations (``motion/strip/joint.py``).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -51,6 +51,7 @@ from sightline.motion.measure.windows import (
     field_positions,
     predict_windows,
 )
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -176,19 +177,20 @@ class _Moves:
     def empty(cls, windows: int, pairs: int, statics: int) -> _Moves:
         """Zeros of all shapes."""
         shapes = ((3,), (3,), (statics,), ())
-        return cls(*(np.zeros((windows, pairs, 2, *shape), dtype=np.float32) for shape in shapes))
+        return cls(*(scratch_array((windows, pairs, 2, *shape), np.float32) for shape in shapes))
 
-    def put(self, pair: int, values: NDArray[np.float32]) -> None:
-        """Those of one partner, (G, 2, 7 + Q) as `sampled_sensitivities` gives them."""
-        self.by_hub[:, pair], self.by_partner[:, pair] = values[..., 0:3], values[..., 3:6]
-        self.by_height[:, pair], self.by_static[:, pair] = values[..., 6], values[..., 7:]
+    def put(self, pair: int, some: slice, values: Array) -> None:
+        """Those of some windows in one partner, (n, 2, 7 + Q) as `sampled_sensitivities` gives them."""
+        self.by_hub[some, pair], self.by_partner[some, pair] = values[..., 0:3], values[..., 3:6]
+        self.by_height[some, pair], self.by_static[some, pair] = values[..., 6], values[..., 7:]
+        let_go()
 
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """What one partner says: residual (G, 2) px, its covariance (G, 2, 2), status and score (G,).
+    """What one partner says of some windows: residual (n, 2) px, its covariance (n, 2, 2), status and score.
 
-    `blur` (G, 2) px is what was taken off for jitter within the stages of TDI, `uneven` (G, 2, 2, 3, B)
+    `blur` (n, 2) px is what was taken off for jitter within the stages of TDI, `uneven` (n, 2, 2, 3, B)
     px/rad how it changes (`Star.uneven`).
     """
 
@@ -230,14 +232,14 @@ def match_star(
     found = _prepared(strips, partners, statics, wrong, filters, moves)
     camera, predicted = cameras[hub], [partner.predicted for partner in found]
     tdi_hub, tdi = _tdi(cameras, hub, partners, grid, predicted)
-    # written as they come: of a long strip what all pairs say is large, and would be held twice
-    residual, covariance = np.empty((g, k, 2)), np.empty((g, k, 2, 2))
-    blur = None if tdi is None else np.empty((g, k, 2))
+    # written as they come: of a long strip what all pairs say is large
+    residual, covariance = scratch_array((g, k, 2)), scratch_array((g, k, 2, 2))
+    blur = None if tdi is None else scratch_array((g, k, 2))
     offsets = None
     if tdi_hub is not None and tdi is not None and not strips.searched:
         offsets = _offsets(camera, grid, max(float(tdi_hub.max()), float(np.nanmax(tdi, initial=0.0))))
-    uneven = None if offsets is None else np.zeros((g, k, 2, 2, 3, len(offsets)), dtype=np.float32)
-    status, score = np.empty((g, k), dtype=np.uint8), np.empty((g, k))
+    uneven = None if offsets is None else scratch_array((g, k, 2, 2, 3, len(offsets)), np.float32)
+    status, score = scratch_array((g, k), np.uint8), scratch_array((g, k))
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(found):
 
@@ -245,21 +247,28 @@ def match_star(
             step(j * g + done * g // total, k * g)
 
         points = np.where((partner.seen & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
-        one = _measured(strips, partner, points, offsets, blocks)
-        residual[:, j], covariance[:, j], score[:, j] = one.residual, one.covariance, one.score
-        status[:, j] = np.where(partner.seen & ~chosen, np.uint8(NOT_CHOSEN), one.status)
-        if blur is not None:
-            blur[:, j] = one.blur
-        if uneven is not None and one.uneven is not None:
-            uneven[:, j] = one.uneven
+        for some, one in _measured(strips, partner, points, offsets, blocks):
+            residual[some, j], covariance[some, j], score[some, j] = one.residual, one.covariance, one.score
+            not_chosen = partner.seen[some] & ~chosen[some]
+            status[some, j] = np.where(not_chosen, np.uint8(NOT_CHOSEN), one.status)
+            if blur is not None:
+                blur[some, j] = one.blur
+            if uneven is not None and one.uneven is not None:
+                uneven[some, j] = one.uneven
+            let_go()
     duration, stretch = _duration(camera, grid, exposed=strips.coarse)
+    weight = scratch_array((g, k))
+    weight[:] = 1.0
+    t = scratch_array((g, k))
+    for j, places in enumerate(predicted):
+        t[:, j] = places.t
     star = Star(
         hub=hub,
         images=partners,
         shape=grid.shape,
         pixels=grid.centres,
         t_hub=exposure_times(camera, grid.centres),
-        t=np.stack([p.t for p in predicted], axis=1),
+        t=t,
         duration=duration,
         stretch=stretch,
         tdi_hub=tdi_hub,
@@ -277,7 +286,7 @@ def match_star(
         by_height=moves.by_height,
         field=field_positions(grid.centres[:, 1], images[hub].shape[1]),
         correlation=shared_image_correlation(k),
-        weight=np.ones((g, k)),
+        weight=weight,
         brightness=_brightness(before, images[hub], hub, grid),
         window=grid.window,
     )
@@ -310,11 +319,13 @@ def _prepared(
         return _whitening(strips, laid[j], grid.centres[seen[j] & ~wrong[:, j]])
 
     def sensitivity(j: int) -> Flags:
-        values = sampled_sensitivities(
+        moved = np.ones(grid.count, dtype=bool)
+        for some, values in sampled_sensitivities(
             cameras, hub, partners[j], strips.surface, grid, seen[j], statics, predicted[j].b, sizes[j][1]
-        )
-        moves.put(j, values)
-        return np.asarray(np.isfinite(values).all(axis=(1, 2)))
+        ):
+            moves.put(j, some, values)
+            moved[some] = np.isfinite(values).all(axis=(1, 2))
+        return moved
 
     whitenings = in_threads(whitening, range(len(partners)))
     if filters is not None and not grid.narrow(strips.images[hub].shape[1]):
@@ -344,14 +355,13 @@ def _whitening(strips: _Strips, laid: ImageSource, points: Array) -> Whitening |
 
 def _measured(
     strips: _Strips, partner: _Partner, points: Array, offsets: Array | None, step: Step
-) -> _Measured:
+) -> Iterator[tuple[slice, _Measured]]:
     """Windows of the hub, `points` (G, 2) or NaN, found in one partner: measured less predicted.
 
     What is found is in pixels of the hub, on whose grid the partner lies; the map's change takes it into the
-    partner.
+    partner. Yields which windows, and what they say: some rows at a time where no window asks the others.
     """
     cameras, hub, grid, plan = strips.cameras, strips.hub, strips.grid, strips.plan
-    predicted = partner.predicted
 
     def matched(image: ImageSource, step: Step = no_step, own: ImageSource = strips.images[hub]) -> Matches:
         return match_images(
@@ -360,58 +370,64 @@ def _measured(
         )  # fmt: skip
 
     matches = matched(partner.laid, step)
-    good = matches.kept & partner.moved & partner.seen
-    turn = predicted.affine[good]
     finer = strips.finer(partner.image)
-    if finer and not strips.searched:
-        steps = ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
-        moved = [matched(strips.laid(partner.image, moved=further)) for further in steps]
-        turn = turn @ np.linalg.inv(response(matches, moved)[good])
-    elif strips.rough:
+    tdi = any(getattr(cameras[image], "stages", None) is not None for image in (hub, partner.image))
+    unlike = finer or strips.rough or strips.finest is not None
+    pooled = unlike or tdi or plan.weighting != "covariance"
+    for some in [slice(0, grid.count)] if pooled else grid.stretches():
+        good = matches.kept[some] & partner.moved[some] & partner.seen[some]
+        centres, b, t = points[some], partner.predicted.b[some], partner.predicted.t[some]
+        affine, by = partner.predicted.affine[some], (partner.by_hub[some], partner.by_partner[some])
+        turn = affine[good]
+        if finer and not strips.searched:
+            steps = ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
+            moved = [matched(strips.laid(partner.image, moved=further)) for further in steps]
+            turn = turn @ np.linalg.inv(response(matches, moved)[good])
+        elif strips.rough:
 
-        def by(other: Sequence[MovingCamera]) -> Matches:
-            return matched(laid_on(strips.images, other, strips.surface, hub, partner.image))
+            def laid_by(other: Sequence[MovingCamera]) -> Matches:
+                return matched(laid_on(strips.images, other, strips.surface, hub, partner.image))
 
-        found = answers(strips.blurred, partner.image, matches, partner.by_partner, predicted.affine, by)
-        share = found[good]
-        turn = turn / np.stack([share, np.ones(len(share))], axis=1)[:, :, None]
-    shift, uncertain = matches.b[good] - grid.centres[good], matches.covariance_px[good]
-    if strips.finest is not None and not finer:
-        own, laid = strips.as_finest(partner.image, strips.finest)
-        fold = matched(laid, own=own)
-        folded, unknown = folding(shift, fold.b[good] - fold.a[good], fold.kept[good], grid.centres[good, 0])
-        shift, uncertain = shift - folded, uncertain + unknown
-    blurred, changes = np.zeros(shift.shape), None
-    if not strips.searched:
-        blurred, changes = displacement(
-            cameras,
-            (hub, partner.image),
-            (grid.centres[good], predicted.b[good]),
-            (exposure_times(cameras[hub], grid.centres[good]), predicted.t[good]),
-            (partner.by_hub[good], partner.by_partner[good]),
-            predicted.affine[good],
-            partner.whitening,
-            grid.window[0],
-            offsets=offsets,
-        )
-    residual, covariance = np.full((len(good), 2), np.nan), np.tile(np.eye(2), (len(good), 1, 1))
-    blur = np.zeros((len(good), 2))
-    blur[good] = np.einsum("nij,nj->ni", turn, blurred)
-    residual[good] = np.einsum("nij,nj->ni", turn, shift) - blur[good]
-    uneven = None
-    if offsets is not None:
-        uneven = np.zeros((len(good), 2, 2, 3, len(offsets)), dtype=np.float32)
-        if changes is not None:
-            uneven[good] = np.einsum("nij,nsjab->nsiab", turn, changes)
-    covariance[good] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
-    if plan.weighting != "covariance" and good.any():
-        mean = 0.5 * np.einsum("nii->n", covariance[good]).mean()
-        places = np.stack([grid.centres[good, 1], predicted.b[good, 1]])
-        covariance[good] = mean * _relative(plan, (hub, partner.image), places)
-    # a window lies in the image up to half a pixel beyond its rim
-    beyond = ~within(predicted.b, strips.images[partner.image].shape, np.array(partner.size) / 2.0 - 1.0)
-    status = np.where(beyond & (matches.status == MASKED), np.uint8(OUTSIDE), matches.status)
-    return _Measured(residual, blur, uneven, covariance, status, matches.score)
+            found = answers(strips.blurred, partner.image, matches, by[1], affine, laid_by)
+            share = found[good]
+            turn = turn / np.stack([share, np.ones(len(share))], axis=1)[:, :, None]
+        shift, uncertain = matches.b[some][good] - centres[good], matches.covariance_px[some][good]
+        if strips.finest is not None and not finer:
+            own, laid = strips.as_finest(partner.image, strips.finest)
+            fold = matched(laid, own=own)
+            folded, unknown = folding(shift, fold.b[good] - fold.a[good], fold.kept[good], centres[good, 0])
+            shift, uncertain = shift - folded, uncertain + unknown
+        blurred, changes = np.zeros(shift.shape), None
+        if not strips.searched:
+            blurred, changes = displacement(
+                cameras,
+                (hub, partner.image),
+                (centres[good], b[good]),
+                (exposure_times(cameras[hub], centres[good]), t[good]),
+                (by[0][good], by[1][good]),
+                affine[good],
+                partner.whitening,
+                grid.window[0],
+                offsets=offsets,
+            )
+        residual, covariance = np.full((len(good), 2), np.nan), np.tile(np.eye(2), (len(good), 1, 1))
+        blur = np.zeros((len(good), 2))
+        blur[good] = np.einsum("nij,nj->ni", turn, blurred)
+        residual[good] = np.einsum("nij,nj->ni", turn, shift) - blur[good]
+        uneven = None
+        if offsets is not None:
+            uneven = np.zeros((len(good), 2, 2, 3, len(offsets)), dtype=np.float32)
+            if changes is not None:
+                uneven[good] = np.einsum("nij,nsjab->nsiab", turn, changes)
+        covariance[good] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
+        if plan.weighting != "covariance" and good.any():
+            mean = 0.5 * np.einsum("nii->n", covariance[good]).mean()
+            places = np.stack([centres[good, 1], b[good, 1]])
+            covariance[good] = mean * _relative(plan, (hub, partner.image), places)
+        # a window lies in the image up to half a pixel beyond its rim
+        beyond = ~within(b, strips.images[partner.image].shape, np.array(partner.size) / 2.0 - 1.0)
+        status = np.where(beyond & (matches.status[some] == MASKED), np.uint8(OUTSIDE), matches.status[some])
+        yield some, _Measured(residual, blur, uneven, covariance, status, matches.score[some])
 
 
 def _both_ways(

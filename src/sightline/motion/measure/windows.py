@@ -20,10 +20,13 @@ from sightline.errors import EstimationError
 from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 #: Images are read in stretches of about so many pixels.
 _READ_PIXELS = 1_000_000
+#: Windows that are worked on at a time.
+_AT_ONCE = 8192
 #: Windows that reach over less than this share of a line are laid for a partner that sees no more of it.
 NARROW = 0.5
 #: Parts of a window whose brightness is looked at, and how many columns each has at least.
@@ -43,6 +46,15 @@ class WindowGrid:
     def shape(self) -> tuple[int, int]:
         """(rows, blocks)."""
         return len(self.lines), len(self.columns)
+
+    @property
+    def count(self) -> int:
+        """How many windows there are."""
+        return len(self.lines) * len(self.columns)
+
+    def stretches(self) -> list[slice]:
+        """Whole rows of windows, some at a time."""
+        return stretches(*self.shape)
 
     @property
     def centres(self) -> Array:
@@ -104,6 +116,12 @@ def window_grid(
     columns = left + (width - 1) / 2 + columns_step * np.arange(blocks)
     lines = (height - 1) / 2 + np.arange(0, shape[0] - height + 1, step)
     return WindowGrid((height, width), lines.astype(float), columns.astype(float))
+
+
+def stretches(rows: int, blocks: int, at_once: int = _AT_ONCE) -> list[slice]:
+    """Windows of whole rows, so many at a time: what is made of all at once grows with the strip."""
+    size = max(at_once // max(blocks, 1), 1) * blocks
+    return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
 
 
 def brightest_parts(image: ImageSource, grid: WindowGrid) -> Array:
@@ -173,6 +191,21 @@ def predict_windows(
     a motion cubic in time), whose two points also give the change along the lines; the change along the
     columns comes from the neighbours in the row (or from two points inside the window when it is alone).
     """
+    blocks = len(grid.columns)
+    sizes = ((grid.count, 2), (grid.count, 2, 2), (grid.count,))
+    found = [Predictions(*map(scratch_array, sizes)) for _ in images]
+    for part in grid.stretches():
+        some = WindowGrid(grid.window, grid.lines[part.start // blocks : part.stop // blocks], grid.columns)
+        for whole, one in zip(found, _predicted(cameras, hub, images, surface, some), strict=True):
+            whole.b[part], whole.affine[part], whole.t[part] = one.b, one.affine, one.t
+        let_go()
+    return found
+
+
+def _predicted(
+    cameras: Sequence[MovingCamera], hub: int, images: Sequence[int], surface: Surface, grid: WindowGrid
+) -> list[Predictions]:
+    """The same for windows of a few rows."""
     rows, blocks = grid.shape
     centres = grid.centres
     reach = math.sqrt(max(grid.window[0] ** 2 - 1, 1) / 12.0)

@@ -62,6 +62,7 @@ from sightline.motion.strip.relief import (
 from sightline.motion.strip.slow_errors import LEAST, SlowErrors, slow_errors
 from sightline.motion.strip.strip import Strip
 from sightline.motion.tones import MotionSpectrum, spectrum
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
@@ -171,10 +172,10 @@ def solve_strip(
 
     def moved_back(stars: Sequence[Star], about: Array) -> list[Array]:
         moved = [
-            k if s.uneven is None else k + modelled_by_blur(s, grid, about)
+            k if s.uneven is None else s.each(np.add, k, modelled_by_blur(s, grid, about))
             for k, s in zip(known, stars, strict=True)
         ]
-        return [s.residual_px + m for s, m in zip(stars, moved, strict=True)]
+        return [s.each(np.add, s.residual_px, m) for s, m in zip(stars, moved, strict=True)]
 
     about, uneven = nodes, any(s.uneven is not None for s in stars)
     if uneven and model == strip.broad:
@@ -205,7 +206,7 @@ def solve_strip(
         prior = replace(prior, relief=relief_of(share * height_sigma, length))
 
     # errors of a gyro are followed twice as far as the images tie the motion to itself
-    longest = 2.0 * max(float(np.nanmax(np.abs(s.t - s.t_hub[:, None]), initial=0.0)) for s in stars)
+    longest = 2.0 * max(_longest_lag(s) for s in stars)
     rows = sensor_rows(strip, model, nodes, statics, longest)
 
     t_ground = [order.of(s.t_hub) for s, order in zip(stars, orders, strict=True)]
@@ -226,15 +227,16 @@ def solve_strip(
         clear = measured
         if slow is not None:
             errors = [slow.moved(s, t, found.slow) for s, t in zip(stars, t_ground, strict=True)]
-            clear = [m - e for m, e in zip(measured, errors, strict=True)]
+            clear = [s.each(np.subtract, m, e) for s, m, e in zip(stars, measured, errors, strict=True)]
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
-        without = [m - w for m, w in zip(clear, motion_only, strict=True)]
+        without = [s.each(np.subtract, m, w) for s, m, w in zip(stars, clear, motion_only, strict=True)]
         if not unknown_relief:
             return found, without, without
         whole = [
             modelled(s, grid, found.unknowns(), found.statics, o) for s, o in zip(stars, orders, strict=True)
         ]
-        return found, [m - w for m, w in zip(clear, whole, strict=True)], without
+        left = [s.each(np.subtract, m, w) for s, m, w in zip(stars, clear, whole, strict=True)]
+        return found, left, without
 
     # an image without stages shows all
     hiding = all(camera.stage_times for camera in strip.nominal)
@@ -243,9 +245,14 @@ def solve_strip(
     estimate, post, without = solution()
     for _ in range(rounds):
         ground = ground_weights(stars, post, beside)
-        weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
+        weights = [
+            s.each(np.multiply, robust_weights(s, r), w) for s, r, w in zip(stars, post, ground, strict=True)
+        ]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
-        stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
+        stars = [
+            s.with_weight(s.each(np.multiply, s.weight, row_weights(s, r)))
+            for s, r in zip(stars, post, strict=True)
+        ]
         unlearned = slow
         if slow is not None:
             slow = slow.learned(estimate.slow, estimate.slow_covariance)
@@ -303,8 +310,21 @@ def solve_strip(
 
 def _span(stars: Sequence[Star]) -> tuple[float, float]:
     """First and last instant (s) of windows: beyond them a motion is what its neighbours make of it."""
-    times = np.concatenate([t[s.present] for s in stars for t in (s.t, s.t_hub[:, None] + 0.0 * s.t)])
-    return float(times.min()), float(times.max())
+    first, last = np.inf, -np.inf
+    for star in stars:
+        present = star.present
+        for some in star.stretches():
+            seen, t = present[some], star.t[some]
+            for times in (t[seen], (star.t_hub[some, None] + 0.0 * t)[seen]):
+                first, last = min(first, times.min(initial=np.inf)), max(last, times.max(initial=-np.inf))
+        let_go()
+    return float(first), float(last)
+
+
+def _longest_lag(star: Star) -> float:
+    """s; the most between the instants of a window's two images."""
+    apart = (np.abs(star.t[some] - star.t_hub[some, None]) for some in star.stretches())
+    return max((float(np.nanmax(each, initial=0.0)) for each in apart), default=0.0)
 
 
 def plainly_seen(strip: Strip, nodes: Array) -> Array:
@@ -401,10 +421,13 @@ def _moved(stars: Sequence[Star], before: Sequence[Array], after: Sequence[Array
     """By how much residuals changed, rms over the windows that count, in sigmas of their matches."""
     total, count = 0.0, 0
     for star, old, new in zip(stars, before, after, strict=True):
-        used = star.present & (star.weight > 0.0)
-        variance = star.covariance_px[..., 0, 0] + star.covariance_px[..., 1, 1]
-        total += float((((new - old) ** 2).sum(axis=-1)[used] / variance[used]).sum())
-        count += int(used.sum())
+        present = star.present
+        for some in star.stretches():
+            used, covariance = present[some], star.covariance_px[some]
+            variance = covariance[..., 0, 0] + covariance[..., 1, 1]
+            total += float((((new[some] - old[some]) ** 2).sum(axis=-1)[used] / variance[used]).sum())
+            count += int(used.sum())
+            let_go()
     return float(np.sqrt(total / max(count, 1)))
 
 

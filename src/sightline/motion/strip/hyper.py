@@ -29,6 +29,7 @@ from sightline.motion.measure.observations import Star
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.tied_axes import TiedEvidence, fit_tied
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
@@ -369,18 +370,38 @@ class _Rows:
 
 def _collapse(star: Star, post: Array, k: int, relief_sigmas: tuple[float, float]) -> _Rows:
     """Weighted least squares of the three angles per row of windows for pair k; NaN where too few."""
-    rows, blocks = star.shape
+    present, (hub, partner) = star.present[:, k], star.averaging()
+    parts = []
+    for some in star.stretches():
+        parts.append(_collapsed(star, post, present, k, some, relief_sigmas))
+        let_go()
+    t_hub, t, angles, covariance = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not present.any():
+        return _Rows(t_hub, t, angles, covariance)
+    return _Rows(t_hub, t, angles, covariance, float(hub[present].mean()), float(partner[present, k].mean()))
+
+
+def _collapsed(
+    star: Star,
+    post: Array,
+    present: NDArray[np.bool_],
+    k: int,
+    some: slice,
+    relief_sigmas: tuple[float, float],
+) -> tuple[Array, Array, Array, Array]:
+    """The same of some whole rows: instants in hub and partner, angles, covariance."""
+    blocks = star.shape[1]
     scale = star.correlation[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
-    factor = np.linalg.cholesky(star.covariance_px[:, k])
+    factor = np.linalg.cholesky(star.covariance_px[some, k])
     covariance = factor @ scale @ np.swapaxes(factor, 1, 2)
     weight = np.linalg.inv(covariance)
-    seen = star.present[:, k]
-    weight = weight * np.where(seen, star.weight[:, k], 0.0)[:, None, None]
-    j = star.by_partner[:, k].astype(float)
-    y = np.where(seen[:, None], post[:, k], 0.0)
-    normal = np.einsum("gca,gcd,gdb->gab", j, weight, j).reshape(rows, blocks, 3, 3).sum(1)
-    right = np.einsum("gca,gcd,gd->ga", j, weight, y).reshape(rows, blocks, 3).sum(1)
-    w = np.where(seen, 1.0, 0.0).reshape(rows, blocks)
+    seen = present[some]
+    weight = weight * np.where(seen, star.weight[some, k], 0.0)[:, None, None]
+    j = star.by_partner[some, k].astype(float)
+    y = np.where(seen[:, None], post[some, k], 0.0)
+    normal = np.einsum("gca,gcd,gdb->gab", j, weight, j).reshape(-1, blocks, 3, 3).sum(1)
+    right = np.einsum("gca,gcd,gd->ga", j, weight, y).reshape(-1, blocks, 3).sum(1)
+    w = np.where(seen, 1.0, 0.0).reshape(-1, blocks)
     count = w.sum(1)
     inverse = np.linalg.inv(normal + WEAK * np.eye(3))
     angles = np.einsum("rab,rb->ra", inverse, right)
@@ -388,20 +409,18 @@ def _collapse(star: Star, post: Array, k: int, relief_sigmas: tuple[float, float
     diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
     unseen = WEAK * (inverse**2).sum(axis=2) > 0.5 * diagonal
     if any(relief_sigmas):
-        shapes = np.stack([np.ones(len(star.field)), star.field], axis=1) * relief_sigmas
-        height = np.nan_to_num(star.by_height[:, k].astype(float))[:, :, None] * shapes[:, None, :]
-        pushed = np.einsum("gca,gcd,gds->gas", j, weight, height).reshape(rows, blocks, 3, 2).sum(1)
+        field = star.field[some]
+        shapes = np.stack([np.ones(len(field)), field], axis=1) * relief_sigmas
+        height = np.nan_to_num(star.by_height[some, k].astype(float))[:, :, None] * shapes[:, None, :]
+        pushed = np.einsum("gca,gcd,gds->gas", j, weight, height).reshape(-1, blocks, 3, 2).sum(1)
         moved = inverse @ pushed
         inverse = inverse + moved @ np.swapaxes(moved, 1, 2)
     diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
     inverse[:, [0, 1, 2], [0, 1, 2]] = np.where(unseen, np.inf, diagonal)
     with np.errstate(invalid="ignore", divide="ignore"):
-        t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)
-        t = np.nansum(w * np.nan_to_num(star.t[:, k]).reshape(rows, blocks), axis=1) / count
-    if not seen.any():
-        return _Rows(t_hub, t, angles, inverse)
-    hub, partner = star.averaging()
-    return _Rows(t_hub, t, angles, inverse, float(hub[seen].mean()), float(partner[seen, k].mean()))
+        t_hub = np.where(count > 0, (w * star.t_hub[some].reshape(-1, blocks)).sum(1) / count, np.nan)
+        t = np.nansum(w * np.nan_to_num(star.t[some, k]).reshape(-1, blocks), axis=1) / count
+    return t_hub, t, angles, inverse
 
 
 def _seen(star: Star, estimate: JointEstimate, t: Array, tdi: float) -> Array:

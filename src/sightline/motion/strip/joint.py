@@ -19,12 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from sightline.estimation.banded import BandedFactor, BorderedFactor, add_band_times
+from sightline.estimation.banded import (
+    ROWS_AT_ONCE,
+    BandedFactor,
+    BorderedFactor,
+    add_band_times,
+    products,
+)
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_columns
 from sightline.execution import give_back_memory
 from sightline.motion.strip.fusion import Ties, add_ties
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid, no_information
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -48,6 +55,8 @@ SEEN = 0.5
 
 #: Innovations beyond this many sigmas are taken for jumps.
 JUMP = 4.5
+#: Instants at which covariances are found at a time.
+INSTANTS = 16384
 #: Rows of the autoregression that are not looked at for jumps.
 STARTUP_ROWS = 64
 
@@ -107,16 +116,12 @@ class JointPrior:
 
     def free_shapes(self, count: int, block: int) -> Array:
         """(block * count, F) motions of the grid of which `free_sigma` are the sigmas."""
-        shapes = []
         parabola = 1.5 * np.linspace(-1.0, 1.0, count) ** 2 - 0.5
-        for axis, values in [
-            *((k, parabola) for k in self._curved),
-            *((k, np.ones(count)) for k in range(3)),
-        ]:
-            shape = np.zeros((count, block))
-            shape[:, axis] = values
-            shapes.append(shape.ravel())
-        return np.stack(shapes, axis=1)
+        shapes = [*((k, parabola) for k in self._curved), *((k, np.ones(count)) for k in range(3))]
+        out = scratch_array((block * count, len(shapes)))
+        for column, (axis, values) in enumerate(shapes):
+            out[axis::block, column] = values
+        return out
 
     @property
     def border_precision(self) -> Array:
@@ -581,7 +586,13 @@ class _Banded:
     @property
     def border(self) -> Array:
         """(size, Q + F); the statics, then what is free: made anew, for an estimate would hold it."""
-        return np.concatenate([self.beside, -self.pulled], axis=1)
+        statics = self.beside.shape[1]
+        out = scratch_array((len(self.beside), statics + self.pulled.shape[1]))
+        for begin in range(0, len(out), ROWS_AT_ONCE):
+            some = slice(begin, begin + ROWS_AT_ONCE)
+            out[some, :statics], out[some, statics:] = self.beside[some], -self.pulled[some]
+            let_go()
+        return out
 
     @cached_property
     def tied(self) -> Array:
@@ -598,12 +609,13 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
     if layout is not None:
         return _laid_factor(data, prior, layout, free)
     n, width = data.ab.n, prior.width(block)
-    pulled = np.zeros(free.shape)
+    pulled = scratch_array(free.shape)
     depth = min(max(width, data.ab.subdiagonals), n - 1) + 1
 
     def columns(first: int, last: int) -> Array:
         p = prior.precision_columns(first, last, block)[:depth]
         add_band_times(p, free, first, pulled)
+        let_go()
         out = data.ab.columns(first, last)
         if depth > len(out):
             out = np.concatenate([out, np.zeros((depth - len(out), last - first))])
@@ -642,7 +654,8 @@ def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, consta
     statics, free = len(precision), len(sigma) - (0 if constants else 3)
     corner = np.zeros((statics + free,) * 2)
     corner[:statics, :statics] = data.corner + precision
-    corner[statics:, statics:] = (banded.free.T @ banded.pulled + np.diag(sigma**-2.0))[:free, :free]
+    pulled = products(banded.free, banded.pulled)
+    corner[statics:, statics:] = (pulled + np.diag(sigma**-2.0))[:free, :free]
     columns = len(corner)
     factor = BorderedFactor(banded.factor, banded.border[:, :columns], corner, banded.tied[:, :columns])
     return factor if banded.place is None else LaidFactor(factor, banded.place)
@@ -778,31 +791,34 @@ def projected_covariance(
     With Q an orthonormal basis of the directions: ``C - Q Q'C - C Q Q' + Q (Q'CQ) Q'``, block diagonal only;
     C Q comes from H solves with the factor.
     """
-    n = len(t)
-    q3 = _orthonormal(directions, scale)
+    q3, parts = _orthonormal(directions, scale), _instants(len(t))
     h = q3.shape[2]
     turn = np.eye(3) if turn is None else turn
     # a pixel of each axis of the result, in the axes of the factor
     unit = turn / scale[:, None]
-    in_factor = np.einsum("nph,pa->nah", q3, unit)
     on_grid = np.zeros((grid.count, block, h))
-    for axis in range(3):
-        on_grid[:, axis] = grid.spread(in_factor[:, axis], t)
-    del in_factor
-    cq_grid, _ = factor.times(on_grid.reshape(-1, h))
+    for some in parts:
+        in_factor = np.einsum("nph,pa->nah", q3[some], unit)
+        for axis in range(3):
+            on_grid[:, axis] += grid.spread(in_factor[:, axis], t[some])
+    cq_grid = factor.times(on_grid.reshape(-1, h))[0].reshape(grid.count, block, h)
     del on_grid
-    cq = unit @ grid.interpolate(cq_grid.reshape(grid.count, block, h)[:, :3], t)
+    cq, inner = scratch_array(q3.shape), np.zeros((h, h))
+    for some in parts:
+        cq[some] = unit @ grid.interpolate(cq_grid[:, :3], t[some])
+        inner += q3[some].reshape(-1, h).T @ cq[some].reshape(-1, h)
+        let_go()
     del cq_grid
-    inner = q3.reshape(n * 3, h).T @ cq.reshape(n * 3, h)
-    c = unit @ marginal_covariance(factor, grid, block, t) @ unit.T
-    # in place: of a long strip each of these is large
-    cross = np.einsum("nph,nqh->npq", cq, q3)
-    c -= cross
-    c -= cross.transpose(0, 2, 1)
-    del cross, cq
-    c += np.einsum("nph,hk,nqk->npq", q3, inner, q3)
-    c *= np.outer(scale, scale)
-    return np.asarray(c)
+    band, out = factor.covariance_band(4 * block - 1), np.empty((len(t), 3, 3))
+    for some in parts:
+        c = unit @ _interpolated(band, grid, block, t[some]) @ unit.T
+        cross = np.einsum("nph,nqh->npq", cq[some], q3[some])
+        c -= cross
+        c -= cross.transpose(0, 2, 1)
+        c += np.einsum("nph,hk,nqk->npq", q3[some], inner, q3[some])
+        out[some] = c * np.outer(scale, scale)
+        let_go()
+    return out
 
 
 def variance_between_nodes(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Array:
@@ -828,18 +844,42 @@ def variance_between_nodes(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Arra
     return total
 
 
+def _instants(count: int) -> list[slice]:
+    """So many instants, some at a time."""
+    return [slice(begin, min(begin + INSTANTS, count)) for begin in range(0, count, INSTANTS)]
+
+
 def _orthonormal(directions: Array, scale: Array) -> Array:
     """Orthonormal basis (N, 3, H) of the directions in units of `scale`."""
-    n = len(directions)
-    q, _ = np.linalg.qr((directions / scale[None, :, None]).reshape(n * 3, -1))
-    return np.asarray(q.reshape(n, 3, -1))
+    n, _, h = directions.shape
+    if n <= INSTANTS:
+        q, _ = np.linalg.qr((directions / scale[None, :, None]).reshape(n * 3, h))
+        return np.asarray(q.reshape(n, 3, h))
+
+    def flat(some: slice) -> Array:
+        return np.asarray((directions[some] / scale[:, None]).reshape(-1, h))
+
+    # some at a time: the triangle of all is that of their triangles
+    parts, out = _instants(n), scratch_array((n, 3, h))
+    triangles = np.concatenate([np.linalg.qr(flat(some), mode="r") for some in parts])
+    inverse = np.linalg.inv(np.linalg.qr(triangles, mode="r"))
+    for some in parts:
+        out[some] = (flat(some) @ inverse).reshape(-1, 3, h)
+        let_go()
+    return out
 
 
 def less_directions(values: Array, directions: Array, scale: Array) -> Array:
     """`values` (N, 3) less their least-squares fit by `directions` (N, 3, H), axes in units of `scale`."""
-    q = _orthonormal(directions, scale)
-    x = values / scale
-    return np.asarray((x - np.einsum("nph,h->np", q, np.einsum("nph,np->h", q, x))) * scale)
+    q, parts = _orthonormal(directions, scale), _instants(len(values))
+    held = np.zeros(q.shape[2])
+    for some in parts:
+        held += np.einsum("nph,np->h", q[some], values[some] / scale)
+    out = np.empty(values.shape)
+    for some in parts:
+        out[some] = (values[some] / scale - np.einsum("nph,h->np", q[some], held)) * scale
+        let_go()
+    return out
 
 
 def directions_at(grid: TimeGrid, directions: Array, t: Array) -> Array:

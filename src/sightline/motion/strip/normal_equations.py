@@ -20,11 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.compiled import njit
+from sightline.estimation.banded import products
 from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.series_kernels import share_of_instant
 from sightline.execution import available_processors, in_threads
 from sightline.motion.measure.observations import Star
 from sightline.motion.strip.slow_errors import SlowErrors
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,8 @@ TAPS = 4
 #: Patches, and rows of windows, that are summed by one thread at a time; rows where errors that wander are
 #: unknowns, of which those near by are all that a part has.
 PART_PATCHES, PART_ROWS, SLOW_ROWS = 16384, 512, 64
+#: Instants that are interpolated at a time.
+_INSTANTS = 16384
 #: Bytes of the bands of parts that are summed at a time, one part at least.
 AT_ONCE_BYTES = 64_000_000
 
@@ -68,9 +72,12 @@ class TimeGrid:
 
     def interpolate(self, values: Array, t: Array) -> Array:
         """Node values (count, ...) at the instants `t` (N,)."""
-        first, w = self.weights(t)
-        gathered = values[first[:, None] + np.arange(TAPS)]
-        return np.asarray(np.einsum("nk,nk...->n...", w, gathered))
+        out = np.empty((len(t), *values.shape[1:]))
+        for begin in range(0, len(out), _INSTANTS):
+            first, w = self.weights(t[begin : begin + _INSTANTS])
+            gathered = values[first[:, None] + np.arange(TAPS)]
+            out[begin : begin + _INSTANTS] = np.einsum("nk,nk...->n...", w, gathered)
+        return out
 
     def spread(self, values: Array, t: Array) -> Array:
         """Transpose of `interpolate`: values (N, C) at the instants `t` summed onto the nodes (count, C)."""
@@ -539,7 +546,7 @@ class NormalEquations:
 
     def times(self, x: Array) -> tuple[Array, Array]:
         """Information times a grid vector: (block*count, ...) -> same, and the statics' part (Q, ...)."""
-        return self.ab.times(x), self.border.T @ x
+        return self.ab.times(x), products(self.border, x)
 
 
 @dataclass(frozen=True)
@@ -603,14 +610,17 @@ def bandwidth_of(
     support = 4
     for star, order in zip(stars, orders, strict=True):
         support = max(support, _support(star, grid))
-        seen = star.present
-        every = np.concatenate([star.t_hub[:, None], np.where(seen, star.t, np.nan)], axis=1)
-        if relief:
-            every = np.concatenate([every, order.of(star.t_hub)[:, None]], axis=1)
-        used = seen.any(axis=1)
-        if used.any():
-            spread = np.nanmax(every[used], axis=1) - np.nanmin(every[used], axis=1)
-            widest = max(widest, float(np.max(spread)))
+        present = star.present
+        for some in star.stretches():
+            seen, t_hub = present[some], star.t_hub[some]
+            every = np.concatenate([t_hub[:, None], np.where(seen, star.t[some], np.nan)], axis=1)
+            if relief:
+                every = np.concatenate([every, order.of(t_hub)[:, None]], axis=1)
+            used = seen.any(axis=1)
+            if used.any():
+                spread = np.nanmax(every[used], axis=1) - np.nanmin(every[used], axis=1)
+                widest = max(widest, float(np.max(spread)))
+            let_go()
     return block * (math.ceil(widest / grid.step) + 2 * support) - 1
 
 
@@ -645,7 +655,7 @@ def normal_equations(
     statics = stars[0].by_static.shape[3] + (0 if slow is None else slow.count * slow.each)
     width = min(bandwidth_of(stars, grid, block, orders, relief), n - 1)
     ab = StoredBand(width, n)
-    border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
+    border, corner = scratch_array((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
     chi2, rows = 0.0, 0
     pieces = [
@@ -668,6 +678,7 @@ def normal_equations(
             rhs_static[sums.beside] += sums.rhs_static
             chi2 += sums.chi2
             rows += sums.rows
+        let_go()
     return NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, rows)
 
 
@@ -907,7 +918,7 @@ def modelled(
     statics : (Q,)
         In the units of the static parameters.
     """
-    out = np.empty(star.residual_px.shape)
+    out = scratch_array(star.residual_px.shape)
     t_ground, nodes = order.of(star.t_hub), np.ascontiguousarray(nodes)
     values = np.asarray(statics, dtype=float)
     support, (tdi_hub, tdi) = _support(star, grid), star.averaging()
@@ -935,6 +946,7 @@ def modelled(
             values,
             out[part],
         )
+        let_go()
 
     in_threads(work, _parts(star))
     return out
@@ -943,4 +955,5 @@ def modelled(
 def modelled_by_blur(star: Star, grid: TimeGrid, nodes: Array) -> Array:
     """What uneven weights of stages add to what the rows of a star read, (G, K, 2) px."""
     none = np.zeros(star.by_static.shape[3])
-    return modelled(star, grid, nodes, none) - modelled(replace(star, uneven=None), grid, nodes, none)
+    both = modelled(star, grid, nodes, none), modelled(replace(star, uneven=None), grid, nodes, none)
+    return star.each(np.subtract, *both)

@@ -147,13 +147,13 @@ def slow_errors(
     """
     largest = int(np.argmax([star.present.sum() for star in stars]))
     star = stars[largest]
-    if star.window is None or star.duration <= 0.0 or not lasts(star, post_px[largest]):
+    if star.window is None or star.duration <= 0.0:
         return None
     step = NODE_LINES * star.duration / star.window[0]
     start = min(float(t.min()) for t in t_ground if len(t))
     end = max(float(t.max()) for t in t_ground if len(t))
     count = max(int(np.ceil((end - start) / step)) + 1, 2)
-    if count > MOST_NODES:
+    if count > MOST_NODES or not lasts(star, post_px[largest]):
         return None
     row = float(np.sqrt(np.median(star.covariance_px[star.present][:, 0, 0]) / star.shape[1]))
     images = tuple(sorted({i for s in stars for i in (s.hub, *s.images)}))
