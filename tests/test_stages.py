@@ -97,6 +97,17 @@ def test_tuples_of_whatever_parts_and_sparse_arrays_are_found_as_they_were(tmp_p
     assert np.array_equal(found.sparse.indptr, sparse.indptr) and (found.sparse - sparse).nnz == 0
 
 
+def test_large_arrays_are_found_as_they_were_and_numpy_reads_what_is_kept(tmp_path):
+    large = np.arange(300_000.0).reshape(3, -1)
+    Stages(tmp_path).put("one", Inner(large, "x"))
+    (path,) = tmp_path.iterdir()
+    with np.load(path) as file:
+        np.testing.assert_array_equal(file["value"], large)
+    found = Stages(tmp_path).held("one", Inner, writeable=True)
+    np.testing.assert_array_equal(found.value, large)
+    assert found.value.flags.writeable and found.value.flags.c_contiguous
+
+
 def test_a_part_of_another_class_is_none_of_the_result(tmp_path):
     @dataclass(frozen=True)
     class Held:
@@ -168,11 +179,11 @@ def test_links_among_stages_are_neither_read_nor_written_through(tmp_path, name)
 
 
 def test_a_disk_without_room_for_a_stage_keeps_no_half_of_it(tmp_path, monkeypatch):
-    def full(file, **_):
+    def full(file, _):
         file.write(b"half")
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(np, "savez", full)
+    monkeypatch.setattr("sightline.stages._save", full)
     said: list[str] = []
     assert same(Stages(tmp_path, said.append).stage("one", Result, result), result())
     assert not list(tmp_path.iterdir())

@@ -16,17 +16,20 @@ import os
 import time
 import types
 import typing
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError, said_by
 from sightline.version import VERSION
+from sightline.writing import let_go, scratch_copy
 
 T = TypeVar("T")
 Packed = dict[str, NDArray[Any]]
@@ -39,6 +42,8 @@ _NONE, _CLASS, _COUNT, _SIZE = "none", "class", "#", "size"
 #: Items of tuples that are kept as one array.
 _PLAIN = (str, bool, int, float)
 _SUFFIX = ".stage.npz"
+#: Bytes of an array that are written at a time.
+_PIECE = 1 << 20
 #: What is said of a stage whose fingerprint is another.
 _OTHER = "it is of other images, options or another version"
 
@@ -261,7 +266,7 @@ class Stages:
                     own = self.found or self.computed
                     self._pass_over(name, _OTHER, refuse=self._refuse and not own)
                     return None
-                return {key: file[key] for key in file.files if key != _KEY}
+                return {key: _laid(file[key]) for key in file.files if key != _KEY}
         except InputError:
             raise
         except Exception as error:  # a damaged file: whatever unpacking it raises
@@ -286,7 +291,7 @@ class Stages:
             # what a killed run left is not written into: under its name there may be a link by now
             temporary.unlink(missing_ok=True)
             with temporary.open("xb") as file:
-                np.savez(file, allow_pickle=False, **{_KEY: np.array(self._fingerprint(name))}, **packed)
+                _save(file, {_KEY: np.array(self._fingerprint(name))} | packed)
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(temporary, path)
@@ -297,6 +302,27 @@ class Stages:
             if self._warn is not None:
                 self._warn(f"stages are not kept: {path} cannot be written ({error.strerror or error})")
             self._folder = None
+
+
+def _save(file: BinaryIO, packed: Packed) -> None:
+    """Write arrays as `numpy.savez` does; those in scratch files come into memory a piece at a time."""
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, item in packed.items():
+            array = np.asanyarray(item)
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                if not array.flags.c_contiguous or array.nbytes <= _PIECE:
+                    npy.write_array(entry, array, allow_pickle=False)
+                    continue
+                npy.write_array_header_1_0(entry, npy.header_data_from_array_1_0(array))
+                values = array.reshape(-1).view(np.uint8)
+                for begin in range(0, len(values), _PIECE):
+                    entry.write(values[begin : begin + _PIECE].data)
+                    let_go()
+
+
+def _laid(array: NDArray[Any]) -> NDArray[Any]:
+    """What was read, in a scratch array where it is large; its order in memory stays."""
+    return scratch_copy(array) if array.flags.c_contiguous else array
 
 
 def pack(value: object) -> Packed:

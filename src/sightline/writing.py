@@ -275,6 +275,13 @@ def scratch_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDAr
     return np.ndarray(shape, dtype, buffer=mapped)
 
 
+def scratch_copy(array: NDArray[Any]) -> NDArray[Any]:
+    """The same numbers in a scratch array."""
+    out = scratch_array(array.shape, array.dtype)
+    out[...] = array
+    return out
+
+
 def _reserve(file: BinaryIO, size: int) -> None:
     """Make a file of zeros that has its room: a disk that fills up under its pages would end the process."""
     if hasattr(os, "posix_fallocate"):

@@ -86,8 +86,10 @@ def bordered(q: int) -> tuple[np.ndarray, BorderedFactor]:
     return np.block([[a, b], [b.T, d]]), BorderedFactor(band_of(a, 9), b, d)
 
 
+@pytest.mark.parametrize("at_once", [7, 1000])
 @pytest.mark.parametrize("q", [0, 1, 4])
-def test_a_bordered_system_is_solved_like_the_full_one(q: int) -> None:
+def test_a_bordered_system_is_solved_like_the_full_one(q: int, at_once: int, monkeypatch) -> None:
+    monkeypatch.setattr("sightline.estimation.banded.ROWS_AT_ONCE", at_once)
     full, factor = bordered(q)
     inverse = np.linalg.inv(full)
     rng = np.random.default_rng(5)
@@ -101,8 +103,10 @@ def test_a_bordered_system_is_solved_like_the_full_one(q: int) -> None:
     assert factor.logdet == pytest.approx(np.linalg.slogdet(full)[1], rel=1e-9)
 
 
+@pytest.mark.parametrize("at_once", [7, 1000])
 @pytest.mark.parametrize("q", [0, 1, 4])
-def test_the_covariance_of_a_bordered_system_owns_the_border(q: int) -> None:
+def test_the_covariance_of_a_bordered_system_owns_the_border(q: int, at_once: int, monkeypatch) -> None:
+    monkeypatch.setattr("sightline.estimation.banded.ROWS_AT_ONCE", at_once)
     full, factor = bordered(q)
     inverse = np.linalg.inv(full)
     np.testing.assert_allclose(factor.covariance_band(12), band_of(inverse[:80, :80], 12), atol=1e-11)

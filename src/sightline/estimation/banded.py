@@ -531,7 +531,7 @@ class BorderedFactor:
                 tied = self._tied[some.start : min(some.stop + width, n)] / self._scale
                 half = solve_triangular(self._schur[0], tied.T, lower=True, check_finite=False)
                 for d in range(min(width, n - 1) + 1):
-                    count = min(some.stop, n - d) - some.start
+                    count = max(min(some.stop, n - d) - some.start, 0)
                     part = np.einsum("ij,ij->j", half[:, d : d + count], half[:, :count])
                     result[d, some.start : some.start + count] += part
         return result

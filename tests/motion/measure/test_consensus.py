@@ -135,6 +135,20 @@ class TestClouds:
         assert not got[60:72, 3:7].any()
         assert got[:30].mean() > 0.9 and got[100:].mean() > 0.9
 
+    @pytest.mark.parametrize("edge", [20, 64, 66, 75])
+    def test_it_is_thrown_out_wherever_rows_that_are_judged_together_end(self, edge, monkeypatch):
+        star = star_of()
+        post = noise(star, 10)
+        post[60:72, 3:7, 0] += (0.6, -0.5)
+        whole = weights(star, post)[..., 0]
+        # 150 rows in two parts, the patch at their common end or beside it
+        monkeypatch.setattr("sightline.motion.measure.consensus.MOST_ROWS", 75)
+        shifted = np.roll(post, edge, axis=0)
+        got = np.roll(weights(star, shifted)[..., 0], -edge, axis=0)
+        assert not got[60:72, 3:7].any()
+        # what is usual is learned of half as many rows: few windows lose or gain much by it
+        assert abs(got.mean() - whole.mean()) < 0.02
+
     @pytest.mark.parametrize(("blocks", "cloudy"), [(12, 7), (6, 3)])
     def test_the_lower_of_two_layers_is_the_ground(self, blocks, cloudy):
         star = seeing_heights(star_of(2, blocks))

@@ -76,6 +76,23 @@ class TestScatter:
         assert np.isnan(z).all() and not degrees.any()
 
 
+def test_errors_are_the_same_however_many_windows_are_worked_on_at_a_time(monkeypatch):
+    star = plain_star(200, 9, 2, SIGMA)
+    post = drawn(star, 11, TestCorrelation.TRUE) + row_motion(star, 12, SIGMA)
+    post[5::37, 1], post[7::41, 0] = np.nan, 40.0 * SIGMA
+    star = replace(star, residual_px=post)
+
+    def found():
+        noise = (estimate_correlation, row_weights, robust_weights)
+        return [scatter(star, post)[0], *(function(star, post) for function in noise)]
+
+    whole = found()
+    monkeypatch.setattr("sightline.motion.measure.windows._AT_ONCE", 100)
+    monkeypatch.setattr("sightline.motion.measure.match_noise.SUMMED", 200)
+    for one, other in zip(whole, found(), strict=True):
+        assert_allclose(other, one, rtol=1e-12)
+
+
 class TestCorrelation:
     # hub's share of the error 0.7, of the two partners 0.3 and 0.5: pair variances 1.0 and 1.2
     TRUE = np.kron(np.array([[1.0, 0.7], [0.7, 1.2]]), np.eye(2))

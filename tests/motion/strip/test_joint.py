@@ -199,7 +199,9 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool, curves: tup
     np.testing.assert_allclose(found, want, atol=2e-3 * want.max())
 
 
-def test_the_relative_covariance_is_the_projected_dense_one() -> None:
+@pytest.mark.parametrize("at_once", [13, 1000])
+def test_the_relative_covariance_is_the_projected_dense_one(at_once: int, monkeypatch) -> None:
+    monkeypatch.setattr("sightline.motion.strip.joint.INSTANTS", at_once)
     star = small_star(1)
     prior, dense = make_prior(False)
     grid = TimeGrid(0.0, STEP, COUNT)
@@ -256,7 +258,9 @@ def test_a_window_averages_the_motion_over_its_length() -> None:
     np.testing.assert_allclose(got[inside], want[inside], atol=1e-6)
 
 
-def test_fitting_directions_away_leaves_nothing_along_them() -> None:
+@pytest.mark.parametrize("at_once", [13, 1000])
+def test_fitting_directions_away_leaves_nothing_along_them(at_once: int, monkeypatch) -> None:
+    monkeypatch.setattr("sightline.motion.strip.joint.INSTANTS", at_once)
     rng = np.random.default_rng(0)
     directions = rng.standard_normal((30, 3, 4))
     left = less_directions(rng.standard_normal((30, 3)), directions, np.ones(3))

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,9 @@ USUAL, FOREIGN = 8.0, 20.0
 BEYOND = 3.0
 #: A window below the line (nearer to the Earth) speaks so many times as much against it as one above.
 BELOW = 2.0
+#: Rows that are judged together at most, beside so many of the longest reach that only lend to them: what is
+#: usual in a strip may change along it.
+MOST_ROWS, HALO = 4096, 8
 #: Columns whose pairs are tried as a row's line, and their least distance as a share of half the field.
 MOST_TRIED, APART = 16, 0.3
 #: Beside foreign windows, which have soft edges, departures speak so many times as loud.
@@ -107,6 +110,18 @@ def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> A
     rows, blocks = star.shape
     if blocks < MIN_BLOCKS or rows < 2:
         return least
+    parts, halo, out = -(-rows // MOST_ROWS), HALO * _reaches(star)[-1], np.empty(least.shape)
+    for first, last in pairwise(np.linspace(0, rows, parts + 1).round().astype(int).tolist()):
+        with_halo = slice(max(first - halo, 0), min(last + halo, rows))
+        post = post_px[with_halo.start * blocks : with_halo.stop * blocks]
+        found = _foreign_near(star.rows(with_halo), post, least[with_halo], relief_sigma)
+        out[first:last] = found[first - with_halo.start : last - with_halo.start]
+    return out
+
+
+def _foreign_near(star: Star, post_px: Array, least: Array, relief_sigma: float) -> Array:
+    """The same of rows that are judged together."""
+    rows, blocks = star.shape
     shift = _common_shift(star, post_px)
     reaches = _reaches(star)
     matched = star.each(lambda post: np.isfinite(post).all(axis=-1).any(axis=1), post_px).reshape(

@@ -339,7 +339,7 @@ def robust_weights(star: Star, post_px: Array) -> Array:
     return out
 
 
-def _rows(z: Array, at_once: int = 8192) -> list[slice]:
+def _rows(z: Array, at_once: int | None = None) -> list[slice]:
     """Rows of windows (rows, blocks, ...), some at a time."""
     rows, blocks = z.shape[:2]
     return [slice(some.start // blocks, some.stop // blocks) for some in stretches(rows, blocks, at_once)]

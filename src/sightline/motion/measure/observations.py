@@ -11,7 +11,7 @@ Not here: per-axis differences for S1's named methods (``motion/estimators/diffe
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -135,6 +135,18 @@ class Star:
     def stretches(self) -> list[slice]:
         """Whole rows of windows, some at a time."""
         return stretches(*self.shape)
+
+    def rows(self, some: slice) -> Star:
+        """The star of some rows of windows alone."""
+        blocks = self.shape[1]
+        own = slice(some.start * blocks, some.stop * blocks)
+        windows: dict[str, Any] = {
+            one.name: value[own]
+            for one in fields(self)
+            if isinstance(value := getattr(self, one.name), np.ndarray)
+            and one.name not in ("correlation", "uneven_at")
+        }
+        return replace(self, shape=(some.stop - some.start, blocks), **windows)
 
     def each(self, function: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
         """What a function of `arrays` (G, ...) gives window by window, as a scratch array."""

@@ -51,7 +51,7 @@ from sightline.motion.measure.windows import (
     field_positions,
     predict_windows,
 )
-from sightline.writing import let_go, scratch_array
+from sightline.writing import let_go, scratch_array, scratch_copy
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -225,7 +225,7 @@ def match_star(
     """
     ratio = ratio_to_finest(cameras, hub)
     strips = _Strips(images, cameras, surface, hub, grid, plan.coarser(ratio), ratio[0] > UNLIKE)
-    g, k = len(grid.centres), len(partners)
+    g, k = grid.count, len(partners)
     wrong = found_wrong(before, hub, grid, k)
     chosen = chosen_windows(images[hub], hub, grid.centres, grid.window, plan.selection)
     moves = _Moves.empty(g, k, len(statics))
@@ -267,7 +267,7 @@ def match_star(
         images=partners,
         shape=grid.shape,
         pixels=grid.centres,
-        t_hub=exposure_times(camera, grid.centres),
+        t_hub=scratch_copy(exposure_times(camera, grid.centres)),
         t=t,
         duration=duration,
         stretch=stretch,
@@ -284,7 +284,7 @@ def match_star(
         by_partner=moves.by_partner,
         by_static=moves.by_static,
         by_height=moves.by_height,
-        field=field_positions(grid.centres[:, 1], images[hub].shape[1]),
+        field=scratch_copy(field_positions(grid.centres[:, 1], images[hub].shape[1])),
         correlation=shared_image_correlation(k),
         weight=weight,
         brightness=_brightness(before, images[hub], hub, grid),
@@ -456,7 +456,7 @@ def _relative(plan: MatchingPlan, pair: tuple[int, int], columns: Array) -> Arra
 
 def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: int) -> NDArray[np.bool_]:
     """(G, K): windows that an earlier pass matched and threw out; none in rows that lost most of theirs."""
-    none = np.zeros((len(grid.centres), pairs), dtype=bool)
+    none = np.zeros((grid.count, pairs), dtype=bool)
     if before is None or not _same_windows(before, hub, grid) or before.star.t.shape != none.shape:
         return none
     wrong = (before.star.weight == 0.0) & ((before.status == KEPT) | (before.status == OUTLIER))
@@ -509,7 +509,7 @@ def _brightness(before: StarRecord | None, image: ImageSource, hub: int, grid: W
     """(G,) brightness of each window in the hub; read once for passes that cut the same windows."""
     if before is not None and before.star.brightness is not None and _same_windows(before, hub, grid):
         return before.star.brightness
-    return brightest_parts(image, grid)
+    return scratch_copy(brightest_parts(image, grid))
 
 
 def _narrow_whitening(

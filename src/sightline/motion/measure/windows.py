@@ -59,8 +59,10 @@ class WindowGrid:
     @property
     def centres(self) -> Array:
         """(rows * blocks, 2) px, (line, column); at half pixels where the size is even."""
-        line, column = np.meshgrid(self.lines, self.columns, indexing="ij")
-        return np.stack([line.ravel(), column.ravel()], axis=1)
+        out = scratch_array((self.count, 2))
+        table = out.reshape(*self.shape, 2)
+        table[..., 0], table[..., 1] = self.lines[:, None], self.columns
+        return out
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -118,9 +120,9 @@ def window_grid(
     return WindowGrid((height, width), lines.astype(float), columns.astype(float))
 
 
-def stretches(rows: int, blocks: int, at_once: int = _AT_ONCE) -> list[slice]:
+def stretches(rows: int, blocks: int, at_once: int | None = None) -> list[slice]:
     """Windows of whole rows, so many at a time: what is made of all at once grows with the strip."""
-    size = max(at_once // max(blocks, 1), 1) * blocks
+    size = max((at_once or _AT_ONCE) // max(blocks, 1), 1) * blocks
     return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
 
 
