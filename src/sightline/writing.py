@@ -21,14 +21,14 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 from weakref import WeakSet
-
-import numpy as np
-from numpy.typing import DTypeLike, NDArray
 
 from sightline.errors import InputError
 from sightline.execution import size_words
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike, NDArray
 
 #: Environment variables by which a user says where scratch files go.
 _SCRATCH_VARIABLES = ("TMPDIR", "TEMP", "TMP")
@@ -257,12 +257,14 @@ def scratch_folder() -> Iterator[Path]:
                 raise
 
 
-def scratch_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+def scratch_array(shape: tuple[int, ...], dtype: DTypeLike = "float64") -> NDArray[Any]:
     """Zeros (`shape`) in memory or, where they are large, in the pages of a scratch file without name.
 
     The file lasts as long as the array or a view of it. What is read or written comes into memory, and stays
     there until `let_go`.
     """
+    import numpy as np
+
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if size < _IN_FILE:
         return np.zeros(shape, dtype)
