@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 
 #: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
 PIECE_BYTES, HELD_BYTES = 12_000_000, 12_000_000
+#: Columns of a piece at least.
+LEAST_COLUMNS = 64
 #: Unknowns of arrays beside a band that are worked on at a time.
 ROWS_AT_ONCE = 32768
 #: Right sides from which on one sweep over the factor for all of them beats one sweep each (LAPACK's way).
@@ -113,8 +115,8 @@ def sweep_backward(lower, x, first):  # type: ignore[no-untyped-def]
 
 
 def piece_columns(subdiagonals: int) -> int:
-    """Columns of the pieces in which a band of so many subdiagonals is kept: more than it is wide."""
-    return max(PIECE_BYTES // (8 * (subdiagonals + 1)), 2 * (subdiagonals + 1))
+    """Columns of the pieces in which a band of so many subdiagonals is kept: of wide ones, fewer."""
+    return max(PIECE_BYTES // (8 * (subdiagonals + 1)), LEAST_COLUMNS)
 
 
 class Pieces:
@@ -323,9 +325,9 @@ def eliminated(band: Array, carried: Array, after: int) -> tuple[Array, Array]:
     `band` are those of the matrix, `carried` what those before have left to them: it is added in place.
     """
     depth, count = band.shape
-    held = min(len(carried), count)
-    for d in range(min(held, depth)):
-        band[d, : held - d] += np.diagonal(carried, -d)[: held - d]
+    for d in range(min(len(carried), depth)):
+        diagonal = np.diagonal(carried, -d)[:count]
+        band[d, : len(diagonal)] += diagonal
     try:
         lower = np.asarray(cholesky_banded(band[:count], lower=True, check_finite=False))
     except np.linalg.LinAlgError:
@@ -342,7 +344,11 @@ def eliminated(band: Array, carried: Array, after: int) -> tuple[Array, Array]:
     dense = np.zeros((near + depth, near), order="F")
     dense[:near], dense[near : near + depth - 1] = corner, bridge
     lower[:, count - near :] = _skewed(dense, depth)
-    return lower, -(bridge[:reach] @ bridge[:reach].T)
+    left = -(bridge[:reach] @ bridge[:reach].T)
+    later = len(carried) - count
+    if later > 0:  # what those before have left to unknowns behind these
+        left[:later, :later] += carried[count:, count:]
+    return lower, left
 
 
 def inverse_columns(lower: Array, width: int, window: Array) -> tuple[Array, Array]:

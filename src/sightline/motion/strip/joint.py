@@ -217,6 +217,11 @@ class JointEstimate:
         return replace(self, _images=no_information(self.grid, 0))
 
     @property
+    def longest_gap(self) -> int:
+        """Most nodes in a row, between seen ones, that no match touches."""
+        return longest_gap(self._images)
+
+    @property
     def prior(self) -> JointPrior:
         """What was believed before the images were looked at."""
         return self._prior
@@ -629,15 +634,16 @@ def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
 def _laid_factor(data: NormalEquations, prior: JointPrior, layout: Layout, free: Array) -> _Banded:
     """The same where drifts have coarse unknowns of their own."""
     place, size = np.ascontiguousarray(layout.fine.ravel()), layout.size
-    laid, beside = (np.zeros((size, known.shape[1])) for known in (free, data.border))
+    laid, beside = (scratch_array((size, known.shape[1])) for known in (free, data.border))
     laid[place], beside[place] = free, data.border
-    pulled = np.zeros(laid.shape)
+    pulled = scratch_array(laid.shape)
     own = prior.laid_width(layout)
     depth = max(own, farthest(place, data.ab.subdiagonals)) + 1
 
     def columns(first: int, last: int) -> Array:
         p = prior.laid_columns(layout, first, last, own)
         add_band_times(p, laid, first, pulled)
+        let_go()
         out = np.zeros((depth, last - first))
         low, high = np.searchsorted(place, (first, last)).tolist()
         if low < high:
