@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
 from consistency import assert_consistent, assert_possible
 from motion.strips import plain_star, strip_cameras
 from sightline import execution
 from sightline.applications.line_of_sight import (
+    _first_pass,
     _hidden_names,
     _match,
     _searched,
@@ -98,6 +100,29 @@ class TestRefused:
         plan = strip.plan(RecoverOptions(), (10, 48), 20, (16, 16))
         found, searched = _searched(strip, nodes, statics, plan, lambda *_: None)
         assert _share_kept(found) > 0.9 and searched == (16, 16)
+
+    @pytest.mark.parametrize("again", [0, 3])
+    def test_a_stretch_that_moved_beyond_the_first_search_is_found_from_its_ends(self, again, monkeypatch):
+        monkeypatch.setattr("sightline.applications.line_of_sight.SOUGHT_AGAIN", again)
+        lines, columns, lag = 1200, 220, 150
+        scene = gaussian_filter(np.random.default_rng(5).standard_normal((lines + lag, columns + 60)), 0.8)
+        # roll by 0.08 px a line between lines 400 and 800: over the lag of 150 lines the bands part by 12 px,
+        # where 8 are searched
+        line = np.arange(lines)
+        roll = 0.08 * np.clip(line - 400.0, 0.0, 400.0)
+        images = []
+        for ahead in (lag, 0):
+            rows, places = np.meshgrid(line + ahead, np.arange(columns), indexing="ij")
+            images.append(1000.0 + 50.0 * map_coordinates(scene, [rows, places + 10.0 + roll[:, None]]))
+        cameras = strip_cameras((float(lag), 0.0), lines, columns)
+        given = [
+            Band(f"band {k}", ArrayImage(image), camera)
+            for k, (image, camera) in enumerate(zip(images, cameras, strict=True))
+        ]
+        options = RecoverOptions()
+        state = _first_pass(prepared(given, Plane(), options), options, 0.0, execution.silent)
+        # what lies in both images was kept where the search reached it: 1050 lines, less some 350
+        assert _share_kept(state.records) > 0.95 if again else _share_kept(state.records) < 0.75
 
     def test_images_without_common_ground_are_refused(self):
         # 4000 px ahead of an image of 300 lines: no window lies on both images

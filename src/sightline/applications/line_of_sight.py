@@ -53,7 +53,7 @@ from sightline.motion.strip.estimate import (
     with_blur_errors,
 )
 from sightline.motion.strip.fusion import uses
-from sightline.motion.strip.hyper import KnownContent, PriorModel, fit_prior_model
+from sightline.motion.strip.hyper import ORDER, KnownContent, PriorModel, fit_prior_model
 from sightline.motion.strip.joint import (
     JointEstimate,
     angles_at,
@@ -123,6 +123,9 @@ MIN_KEPT_SHARE = 0.02
 #: Where fewer windows than half of those tried are kept, the first search goes so many times as far, up to so
 #: many px, and counts if it keeps so many times as many.
 FARTHER, FARTHEST, MORE_KEPT = 3, 32, 1.3
+#: Times that what nothing was found of for longer than the memory of the motion's model is sought again, each
+#: of which must find so much more of all windows: over clouds and water there is nothing to be found.
+SOUGHT_AGAIN, FOUND_AGAIN = 3, 0.005
 #: Stages that are kept: the state after so many passes, after the last one of a wide strip, and after that
 #: under a given spectrum.
 _AFTER, _WHOLE, _GIVEN = "pass-{}", "pass-last", "pass-given"
@@ -420,6 +423,16 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
             f"{farthest_control(strip)}{farthest_sensor(strip, searched)}"
         )
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
+    for _ in range(SOUGHT_AGAIN):
+        if _longest_lost(state.records) <= ORDER * strip.grid.step:
+            break
+        # where a long strip moved out of reach of the search, what its neighbours show leads there
+        nodes, statics = state.estimate.nodes, state.estimate.statics
+        step = steps_of(tell, "first pass: searching where nothing was found")
+        records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan, step=step))
+        if _share_kept(records) < _share_kept(state.records) + FOUND_AGAIN:
+            break
+        state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
     plan = strip.plan(options, options.first_window, options.first_window[0])
     step = steps_of(tell, "first pass: matching once more")
@@ -484,6 +497,15 @@ def _share_kept(records: Sequence[StarRecord]) -> float:
     """Share of the windows that were tried, and lie in both images, whose matches were kept."""
     tried = sum(int(((r.status != NOT_CHOSEN) & (r.status != OUTSIDE)).sum()) for r in records)
     return sum(int(r.star.present.sum()) for r in records) / max(tried, 1)
+
+
+def _longest_lost(records: Sequence[StarRecord]) -> float:
+    """s; the longest time in which no row of windows has a match, between rows of the same star that have."""
+    longest = 0.0
+    for star in (record.star for record in records):
+        t = star.t_hub[star.present.any(axis=1)]
+        longest = max(longest, float(np.diff(np.sort(t)).max(initial=0.0)))
+    return longest
 
 
 def _with_floor(record: StarRecord) -> StarRecord:

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.execution import Step, in_threads, no_step
+from sightline.execution import Step, give_back_memory, in_threads, no_step
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
@@ -230,6 +230,7 @@ def match_star(
     chosen = chosen_windows(images[hub], hub, grid.centres, grid.window, plan.selection)
     moves = _Moves.empty(g, k, len(statics))
     found = _prepared(strips, partners, statics, wrong, filters, moves)
+    give_back_memory()
     camera, predicted = cameras[hub], [partner.predicted for partner in found]
     tdi_hub, tdi = _tdi(cameras, hub, partners, grid, predicted)
     # written as they come: of a long strip what all pairs say is large

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.prior import Autoregressive, TabulatedPsd
+from sightline.execution import give_back_memory
 from sightline.geometry.trajectory import Motion
 from sightline.motion.measure.consensus import ground_weights
 from sightline.motion.measure.match_noise import estimate_correlation, robust_weights, row_weights
@@ -167,6 +168,7 @@ def solve_strip(
     """Solve; weigh matches by their scatter, let the motion jump where it did, solve again, in `rounds`."""
     grid = strip.grid
     stars = [r.star for r in records]
+    give_back_memory()
     # by the motion that windows were moved by, and by that about which blur within stages is known
     known = [modelled(replace(s, uneven=None), grid, nodes, statics) for s in stars]
 

@@ -217,11 +217,6 @@ class JointEstimate:
         return replace(self, _images=no_information(self.grid, 0))
 
     @property
-    def longest_gap(self) -> int:
-        """Most nodes in a row, between seen ones, that no match touches."""
-        return longest_gap(self._images)
-
-    @property
     def prior(self) -> JointPrior:
         """What was believed before the images were looked at."""
         return self._prior
