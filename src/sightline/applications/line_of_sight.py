@@ -513,7 +513,8 @@ def _with_floor(record: StarRecord) -> StarRecord:
     star = record.star
     size = float(np.sqrt(np.nanmean(star.residual_px**2))) if star.present.any() else 0.0
     floor = (LINEARISATION_SHARE * size) ** 2 * np.eye(2)
-    return replace(record, star=replace(star, covariance_px=star.covariance_px + floor))
+    covariance = star.each(lambda own: own + floor, star.covariance_px)
+    return replace(record, star=replace(star, covariance_px=covariance))
 
 
 def _compensated_pass(

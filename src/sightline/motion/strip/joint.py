@@ -384,7 +384,7 @@ class JointEstimate:
             own if ample is None else joint_factor(data, ample),
         )
         # a constant moves the static parameters alone, and ample motions would rather undo it than let them
-        out = np.empty((count, 3, 6))
+        out = scratch_array((count, 3, 6))
         for shape, factor in enumerate(factors):
             seeds = np.zeros((count, data.block, 3))
             for axis in range(3):
