@@ -111,6 +111,27 @@ def test_a_tone_above_the_sampling_nyquist_is_found_where_it_is() -> None:
     assert [round(tone.frequency) for tone in found.spectrum.tones] == [121]
 
 
+@pytest.mark.parametrize("seed", [1, 4, 10])
+def test_tones_of_a_short_strip_are_not_taken_for_fewer_between_them(seed: int) -> None:
+    """Of eight periods and more each, six resolutions and more apart, and ten times the noise and more."""
+    rng, step, count = np.random.default_rng(seed), 2.08e-4, 799
+    t = step * np.arange(count)
+    drift = Matern(2.0, 0.08, "5/2").autocovariance(t)
+    x = np.linalg.cholesky(toeplitz(drift) + 1e-9 * np.eye(count)) @ rng.standard_normal(count)
+    places = (47.0, 83.0, 121.0)
+    for f, size in zip(places, (0.44, 0.24, 0.13), strict=True):
+        x += size * np.sin(2.0 * np.pi * (f * t + rng.random()))
+    series = []
+    for lag in (65, 69, 143, 4, 78, 74):
+        k = np.arange(4, count - lag - 4, 4)
+        values = x[k + lag] - x[k] + 0.02 * rng.standard_normal(len(k))
+        series.append(DifferenceSeries(t[k], np.full(len(k), lag * step), values, np.full(len(k), 4e-4)))
+    found = [tone.frequency for tone in fit_spectrum(series, offset_sigma=3.0).spectrum.tones]
+    # within half the resolution of where a sinusoid explains most, which is within another half of the place
+    assert len(found) == 3
+    np.testing.assert_allclose(found, places, atol=1.0 / (step * count))
+
+
 def test_a_known_tone_is_in_the_spectrum_however_small() -> None:
     # 0.002 in a noise of 0.03, of which some 200 measurements tell amplitudes to 0.03 * 2 / sqrt(200) = 0.004
     t = STEP * np.arange(N)

@@ -9,6 +9,7 @@ import pytest
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from sightline.errors import FormatError
+from sightline.io.acquisition.schema import MatchingSection
 from sightline.io.config import SCHEMAS, json_schema, validate
 from sightline.io.layout.schema import LayoutSection
 from sightline.io.quantities import Latitude, Within, shown
@@ -163,3 +164,8 @@ def test_a_list_of_a_million_is_refused_in_a_line():
         validate(LayoutSection, {"positions_px": [float(k) for k in range(1_000_000)]}, Path("x.toml"))
     assert "positions_px holds more values than the 64 that are allowed" in str(caught.value)
     assert len(str(caught.value)) < 300
+
+
+def test_a_list_of_none_is_refused_in_our_words():
+    with pytest.raises(FormatError, match=r"pairs = \[\] holds fewer values than 1; give more, or leave it"):
+        validate(MatchingSection, {"pairs": []}, Path("x.toml"))

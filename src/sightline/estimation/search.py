@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,9 @@ SETTLED, ROUGHLY = 0.1, 1.0
 #: The same of a search whose end must not depend on the way that led to it, nor on rounding: parameters that
 #: hardly matter still move the motion by some thousandths of its sigma.
 CLOSELY = 1e-5
+#: A search may move a tone so far from where a sinusoid explained most, farther where it is wider; one that
+#: explains more so far from a tone is a rival of it. In units of one over the length of the data.
+STRAYS = NEAREST_RIVAL = 0.5
 #: A step of the search goes no farther in any parameter (logarithms), and is shortened so many times at most.
 FARTHEST_STEP, HALVINGS = 1.5, 6
 #: Second derivatives of the deviance by the logarithms of a tone's size and width, about.
@@ -131,7 +135,8 @@ class NoiseModel:
     drift, broadband : Matern
         The drift of order 5/2, the broadband part of any.
     tones : tuple of Tone
-        In the order they were found; `gains` are their significances, infinite for those known beforehand.
+        In the order they were found; `gains` are their significances, infinite for those known beforehand,
+        `places` the frequencies (Hz) at which a sinusoid explained most when they were found.
     noise_scale : float
         Factor on the measurement variances.
     """
@@ -141,6 +146,7 @@ class NoiseModel:
     tones: tuple[Tone, ...] = ()
     noise_scale: float = 1.0
     gains: tuple[float, ...] = ()
+    places: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, spectrum: Spectrum) -> NoiseModel:
@@ -150,7 +156,8 @@ class NoiseModel:
         broadband = next((c for c in parts if c is not drift), None)
         if drift is None or broadband is None:
             raise InputError('`start` needs a Matern component of order "5/2" and another for the broadband')
-        return cls(drift, broadband, spectrum.tones, gains=(math.nan,) * len(spectrum.tones))
+        places = tuple(tone.frequency for tone in spectrum.tones)
+        return cls(drift, broadband, spectrum.tones, gains=(math.nan,) * len(places), places=places)
 
     @property
     def spectrum(self) -> Spectrum:
@@ -159,13 +166,24 @@ class NoiseModel:
 
     def with_tone(self, tone: Tone, gain: float) -> NoiseModel:
         """The model and one more tone, at the end of the list."""
-        return replace(self, tones=(*self.tones, tone), gains=(*self.gains, gain))
+        return replace(
+            self,
+            tones=(*self.tones, tone),
+            gains=(*self.gains, gain),
+            places=(*self.places, tone.frequency),
+        )
 
     def without_tone(self, k: int) -> NoiseModel:
         """The model less its tone number `k`."""
-        return replace(
-            self, tones=self.tones[:k] + self.tones[k + 1 :], gains=self.gains[:k] + self.gains[k + 1 :]
-        )
+        return self._each(lambda listed: (*listed[:k], *listed[k + 1 :]))
+
+    def with_last_tone_at(self, k: int) -> NoiseModel:
+        """The model with the last of its tones as number `k` of the list."""
+        return self._each(lambda listed: (*listed[:k], listed[-1], *listed[k:-1]))
+
+    def _each(self, change: Callable[[tuple[Any, ...]], tuple[Any, ...]]) -> NoiseModel:
+        """The model with a change of the list of its tones."""
+        return replace(self, tones=change(self.tones), gains=change(self.gains), places=change(self.places))
 
 
 class Search:
@@ -290,12 +308,16 @@ class Search:
             (math.log(1e-3), math.log(30.0 * drift)),
             (math.log(max(0.2 * step, self._quickest)), math.log(0.2 * length)),
         ]
-        for tone, gain in zip(model.tones, model.gains, strict=True):
-            farthest = 0.0 if gain == math.inf else min(1.0, 0.2 * tone.frequency * length)
+        for tone, gain, place in zip(model.tones, model.gains, model.places, strict=True):
+            # the place of a sinusoid is known better than the resolution, that of a line to half its width; a
+            # tone that could go farther would stand between two, for both
+            farthest = float(np.clip(0.5 * tone.bandwidth * length, STRAYS, 3.0))
+            farthest = 0.0 if gain == math.inf else min(farthest, 0.6 * tone.frequency * length)
+            strayed = min(max((tone.frequency - place) * length, -farthest), farthest)
             _, least, most = tone_widths(tone.frequency, length)
             bounds += [
                 (math.log(1e-3), math.log(30.0 * drift)),
-                (-farthest, farthest),
+                ((-farthest - strayed) / 3.0, (farthest - strayed) / 3.0),
                 (math.log(least), math.log(most)),
             ]
         least, most = NOISE_SCALES
@@ -492,16 +514,13 @@ class Search:
             # A gain is a log-likelihood: what lies 20 below the best is no rival.
             rivals = [r for r in rivals if r[1] > rivals[0][1] - 20.0]
             for rival, gain in rivals:
-                if abs(rival.frequency - tone.frequency) < 3.0 / self._length:
+                if abs(rival.frequency - tone.frequency) < NEAREST_RIVAL / self._length:
                     continue
                 place = Tone(rival.sigma, rival.frequency, min(tone.bandwidth, 0.1 * rival.frequency))
                 moved = self.improve(others.with_tone(place, gain), 25, ROUGHLY)
                 if self._alias_score(moved, -1) < self._alias_score(model, k):
-                    # Keep the place of the tone in the list, over which the loop runs.
-                    tones, gains = list(moved.tones), list(moved.gains)
-                    tones.insert(k, tones.pop())
-                    gains.insert(k, gains.pop())
-                    model = replace(moved, tones=tuple(tones), gains=tuple(gains))
+                    # over the list the loop runs
+                    model = moved.with_last_tone_at(k)
         return model
 
     def _alias_score(self, model: NoiseModel, k: int) -> float:
