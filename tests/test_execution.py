@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
 
@@ -85,6 +86,13 @@ def test_threads_give_the_results_of_a_plain_loop_in_order_and_raise_what_an_ite
     assert in_threads(smoothed_noise, [], threads) == []
     with pytest.raises(ValueError, match="item 3"):
         in_threads(partial(fails_at, bad=3), range(10), threads)
+
+
+def test_threads_see_what_their_caller_has_set():
+    # such as where scratch files go
+    place = ContextVar("place", default="the system's")
+    place.set("below --out")
+    assert in_threads(lambda _: place.get(), range(4), 2) == ["below --out"] * 4
 
 
 def test_the_first_failing_item_raises_its_own_exception():

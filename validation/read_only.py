@@ -166,6 +166,7 @@ def main() -> None:
             first = first or found
             notes = [line for line in ran.stderr.splitlines() if ": note: " in line]
             said = notes[0].partition(": note: ")[2].partition(",")[0] if notes else "nothing"
+            said = said.replace(f"{base}/", "")
             same = bool(found) and found == first
             gates.check(f"{label}: exit status", ran.returncode, 0, 0)
             gates.note(f"{label}: same bits as the first", str(same), "True", same)

@@ -22,6 +22,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
+from contextvars import copy_context
 from dataclasses import dataclass
 from functools import cache, partial, wraps
 from math import ceil, isfinite
@@ -870,9 +871,11 @@ def in_threads(
     count = min(thread_count() if threads is None else threads, len(jobs))
     if count <= 1:
         return [function(job) for job in stepped(jobs, step)]
+    # where scratch files go, and what may be read, is the caller's
+    around = copy_context()
     with ThreadPoolExecutor(count) as pool:
         found = []
-        for result in pool.map(function, jobs):
+        for result in pool.map(lambda job: around.copy().run(function, job), jobs):
             found.append(result)
             step(len(found), len(jobs))
         return found

@@ -422,6 +422,8 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
             "and that the bands overlap, or search farther: [matching] search_px"
             f"{farthest_control(strip)}{farthest_sensor(strip, searched)}"
         )
+    # robust weights leave some out, which are found every time
+    found = _share_kept(records)
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     for _ in range(SOUGHT_AGAIN):
         if _longest_lost(state.records) <= ORDER * strip.grid.step:
@@ -430,8 +432,9 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
         nodes, statics = state.estimate.nodes, state.estimate.statics
         step = steps_of(tell, "first pass: searching where nothing was found")
         records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan, step=step))
-        if _share_kept(records) < _share_kept(state.records) + FOUND_AGAIN:
+        if _share_kept(records) < found + FOUND_AGAIN:
             break
+        found = _share_kept(records)
         state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
     plan = strip.plan(options, options.first_window, options.first_window[0])

@@ -136,9 +136,9 @@ def test_without_relief_in_the_residuals_its_length_is_the_longest_that_is_belie
 
 class TestShare:
     def test_what_tells_nothing_leaves_most_of_what_was_given(self):
-        # half of the variance given, and a sixth of the other half of each of six that fall by four
-        expected = np.sqrt(0.5 + 0.5 / 6.0 * sum(4.0**-k for k in range(1, 7)))
-        assert relief_share(lambda share: 0.0) == pytest.approx(expected)
+        # half of the variance given, a quarter of its 16th and a quarter of its 256th
+        expected = np.sqrt(0.5 + 0.25 / 16.0 + 0.25 / 256.0)
+        assert relief_share(lambda sigma, length: 0.0, HEIGHT, HALF_WIDTH) == pytest.approx(expected)
 
     @pytest.mark.parametrize("true", [1.0, 0.25, 0.0])
     def test_many_heights_tell_their_size(self, true):
@@ -146,26 +146,25 @@ class TestShare:
         error = 0.05
         drawn = np.hypot(true, error) * np.random.default_rng(2).standard_normal(1000)
 
-        def likelihood(share: float) -> float:
-            variance = share**2 + error**2
-            return float(-0.5 * (len(drawn) * np.log(variance) + drawn @ drawn / variance))
+        def likelihood(sigma: float, length: float) -> float:
+            variance = (sigma / HEIGHT) ** 2 + error**2
+            # lengths far from the true one explain nothing
+            far = 50.0 if length < 0.3 * LENGTH else 0.0
+            return float(-0.5 * (len(drawn) * np.log(variance) + drawn @ drawn / variance)) - far
 
-        found = relief_share(likelihood)
-        if true:
-            assert found == pytest.approx(true, rel=0.05)
-        else:
-            # of no size at all a thousand errors leave a tenth of their variance open, 2^-2 of the error
-            assert found < error
+        found = relief_share(likelihood, HEIGHT, HALF_WIDTH)
+        # to 2 % of itself, and the least that is asked is a 16th
+        assert found == pytest.approx(max(true, 1.0 / 16.0), rel=0.05)
 
     def test_shares_far_less_likely_than_the_best_are_the_last(self):
         asked = []
 
-        def likelihood(share: float) -> float:
-            asked.append(share)
-            return 40.0 * np.log(share)
+        def likelihood(sigma: float, length: float) -> float:
+            asked.append(sigma / HEIGHT)
+            return 40.0 * np.log(sigma)
 
-        assert relief_share(likelihood) == pytest.approx(1.0, abs=1e-6)
-        assert asked == [1.0, 0.5]
+        assert relief_share(likelihood, HEIGHT, HALF_WIDTH) == pytest.approx(1.0, abs=1e-6)
+        assert asked == [1.0] * 3 + [0.25] * 3
 
 
 class TestMatters:

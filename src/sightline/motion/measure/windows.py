@@ -122,7 +122,8 @@ def window_grid(
 
 def stretches(rows: int, blocks: int, at_once: int | None = None) -> list[slice]:
     """Windows of whole rows, so many at a time: what is made of all at once grows with the strip."""
-    size = max((at_once or _AT_ONCE) // max(blocks, 1), 1) * blocks
+    blocks = max(blocks, 1)
+    size = max((at_once or _AT_ONCE) // blocks, 1) * blocks
     return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
 
 

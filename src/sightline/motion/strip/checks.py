@@ -11,7 +11,9 @@ import numpy as np
 
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
+from sightline.imaging.source import ImageSource
 from sightline.matching.on_geometry import within
+from sightline.motion.band import Band
 from sightline.motion.measure.plan import hub_windows
 from sightline.motion.measure.windows import WindowGrid, predict_windows
 from sightline.motion.sensors import AttitudeSensor
@@ -24,8 +26,8 @@ SAME_TONE = 0.1
 FEWEST_WINDOWS = 20
 #: Rows of windows that are asked where they lie: evenly spread, of however long a strip.
 ROWS_ASKED = 200
-#: Lines by which images are known to be one, evenly spread.
-LINES_COMPARED = 9
+#: Lines that two images must have alike to be compared whole, and lines that are then compared at a time.
+LINES_COMPARED, LINES_AT_ONCE = 9, 512
 #: rad; angles of the motion are small: control points further from where the cameras see them are mistakes.
 FARTHEST = 0.1
 
@@ -59,19 +61,29 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
 
 def check_images(strip: Strip) -> None:
     """InputError where two images that show something are the same."""
-    known: dict[tuple[tuple[int, int], bytes], str] = {}
+    known: dict[tuple[tuple[int, int], bytes], Band] = {}
     for band in strip.bands:
         lines, columns = band.image.shape
-        rows = np.unique(np.linspace(0, lines - 1, LINES_COMPARED).astype(int))
-        seen = np.concatenate([band.image.read((int(row), int(row) + 1), (0, columns)) for row in rows])
+        rows = np.unique(np.linspace(0, lines - 1, LINES_COMPARED).astype(int)).tolist()
+        seen = np.concatenate([band.image.read((row, row + 1), (0, columns)) for row in rows])
         if (seen == seen.flat[0]).all() or not np.isfinite(seen).any():
             continue
-        other = known.setdefault(((lines, columns), seen.tobytes()), band.name)
-        if other != band.name:
+        other = known.setdefault(((lines, columns), seen.tobytes()), band)
+        if other is not band and _same(other.image, band.image):
             raise InputError(
-                f"the images of {other!r} and {band.name!r} are the same, pixel for pixel, which no two "
+                f"the images of {other.name!r} and {band.name!r} are the same, pixel for pixel, which no two "
                 "detector lines see; give the image of each"
             )
+
+
+def _same(one: ImageSource, other: ImageSource) -> bool:
+    """Whether two images of one size are the same, pixel for pixel."""
+    lines, columns = one.shape
+    for first in range(0, lines, LINES_AT_ONCE):
+        part = (first, min(first + LINES_AT_ONCE, lines)), (0, columns)
+        if not np.array_equal(one.read(*part), other.read(*part), equal_nan=True):
+            return False
+    return True
 
 
 def known_content(strip: Strip) -> KnownContent:

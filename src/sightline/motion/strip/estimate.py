@@ -204,7 +204,7 @@ def solve_strip(
         return row_processes(sigma, length, strip.half_width, strip.ground_speed / orders[0].rate, grid)
 
     if unknown_relief:
-        beside = height_sigma * beside_row(length, strip.half_width)
+        beside = share * height_sigma * beside_row(length, strip.half_width)
         prior = replace(prior, relief=relief_of(share * height_sigma, length))
 
     # errors of a gyro are followed twice as far as the images tie the motion to itself
@@ -284,15 +284,13 @@ def solve_strip(
         if same and _moved(stars, earlier, post) < STILL:
             break
     if unknown_relief:
-        scatter = row_scatter(stars, without)
-
-        def likelihood(share: float) -> float:
-            sigma = share * height_sigma
-            return estimate.likelihood_of(relief_of(sigma, relief_length(scatter, sigma, strip.half_width)))
-
         if settled:
-            share = relief_share(likelihood)
-        length = relief_length(scatter, share * height_sigma, strip.half_width)
+            share = relief_share(
+                lambda sigma, length: estimate.likelihood_of(relief_of(sigma, length)),
+                height_sigma,
+                strip.half_width,
+            )
+        length = relief_length(row_scatter(stars, without), share * height_sigma, strip.half_width)
     kept = tuple(replace(r, star=s) for s, r in zip(stars, records, strict=True))
     return StripState(
         estimate,

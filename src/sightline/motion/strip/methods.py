@@ -11,6 +11,7 @@ Not here: the joint estimate itself (``motion/strip/estimate.py``), the estimato
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -30,7 +31,6 @@ from sightline.motion.results import LineOfSight, NamedMethod, TimeCovariance
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.hyper import angle_differences
 from sightline.motion.strip.normal_equations import modelled
-from sightline.motion.strip.relief import row_sigmas
 from sightline.motion.strip.strip import Strip
 from sightline.motion.strip.viewing_axes import turned_directions
 
@@ -47,7 +47,8 @@ def strip_differences(strip: Strip, state: StripState) -> list[AngleDifferences]
     """S1's angular differences of every pair of a strip, about the axes of the estimate."""
     sigmas = (0.0, 0.0)
     if state.prior.relief is not None:
-        sigmas = row_sigmas(state.relief_share * state.height_sigma, state.relief_length, strip.half_width)
+        mean, slope = (math.sqrt(float(p.startup_variances[0])) for p in state.prior.relief)
+        sigmas = mean, slope
     stars = [record.star for record in state.records]
     return by_pair(angle_differences(stars, state.with_relief_px, state.estimate, sigmas))
 

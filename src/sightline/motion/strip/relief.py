@@ -36,8 +36,10 @@ ROW_SAMPLES = 21
 #: slopes (sigma over length) so small. What does not show within a row is not thereby known to be flat.
 LONGEST, LEAST_SLOPE = 2.0, 0.1
 #: Sizes that unknown relief may have, as shares of the sigma that was given; how probable each is beforehand.
-SHARES = 0.5 ** np.arange(7)
-BELIEF = np.array([0.5, *[0.5 / 6.0] * 6])
+SHARES = 0.25 ** np.arange(3)
+BELIEF = np.array([0.5, 0.25, 0.25])
+#: Correlation lengths over which likelihoods are averaged, from the shortest to the longest that is believed.
+LENGTHS = 3
 #: Smaller sizes are not tried where one is less likely than the best by this, in natural logarithms.
 FAR_LESS = 12.0
 #: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
@@ -134,16 +136,6 @@ def row_processes(
     return autoregressive(first, ORDER, grid.count), autoregressive(second, ORDER, grid.count)
 
 
-def row_sigmas(sigma: float, length: float, half_width: float) -> tuple[float, float]:
-    """Standard deviations (m) of the mean height of a row of terrain, and of its slope at the field's edge.
-
-    Parameters are those of `row_processes`.
-    """
-    x, mean, slope = _row_functionals()
-    k = sigma**2 * terrain_covariance(half_width * np.abs(np.subtract.outer(x, x)), length)
-    return math.sqrt(mean @ k @ mean), math.sqrt(slope @ k @ slope)
-
-
 def detrended_share(length: float, half_width: float) -> float:
     """Share of the terrain's variance left in a row after its mean and slope are taken out."""
     x, mean, slope = _row_functionals()
@@ -206,29 +198,41 @@ def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> float:
 
 def relief_length(beside: float, sigma: float, half_width: float) -> float:
     """Correlation length (m) of relief of `sigma` (m) of which rows have the variance `beside` (m^2) left."""
-    longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)
-    lengths = np.geomspace(max(0.05 * half_width, sigma / STEEPEST_SLOPE), longest, 60)
+    lengths = _lengths(sigma, half_width, 60)
     shares = np.array([detrended_share(length, half_width) for length in lengths])
     return float(lengths[int(np.argmin(np.abs(shares - beside / sigma**2)))])
 
 
-def relief_share(likelihood: Callable[[float], float]) -> float:
+def _lengths(sigma: float, half_width: float, number: int) -> Array:
+    """Correlation lengths (m) that relief of `sigma` (m) may have."""
+    longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)
+    return np.geomspace(max(0.05 * half_width, sigma / STEEPEST_SLOPE), longest, number)
+
+
+def relief_share(likelihood: Callable[[float, float], float], sigma: float, half_width: float) -> float:
     """Root mean square size of unknown relief, as a share of the sigma that was given for it.
 
     Parameters
     ----------
     likelihood : callable
-        Natural logarithm of the likelihood of what was measured, of a share, but for a constant.
+        Natural logarithm of the likelihood of what was measured, for relief of a sigma and a correlation
+        length (m), but for a constant.
+    sigma, half_width : float
+        m; the sigma that was given, and half of the swath.
 
     Notes
     -----
-    Half of the belief is in what was given, the other half in sizes down to a 64th of it: a sigma is often
+    Half of the belief is in what was given, the other half in sizes down to a 16th of it: a sigma is often
     said for want of a DEM, of ground that is far flatter. Variances are averaged; where images tell nothing,
-    most of what was given stays.
+    most of what was given stays. Likelihoods are averaged over correlation lengths: of one that is wrong the
+    size would take the blame.
     """
     found: list[float] = []
     for share in SHARES:
-        found.append(likelihood(float(share)))
+        each = [
+            likelihood(share * sigma, one) for one in _lengths(share * sigma, half_width, LENGTHS).tolist()
+        ]
+        found.append(float(np.logaddexp.reduce(each)))
         if found[-1] < max(found) - FAR_LESS:
             break
     weights = BELIEF[: len(found)] * np.exp(np.array(found) - max(found))
