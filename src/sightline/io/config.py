@@ -386,7 +386,7 @@ def _explain(error: Any) -> str:
         return f"{key} holds more values than the {context['max_length']} that are allowed; leave some out"
     if kind == "too_short":
         least = context["min_length"]
-        return f"{key} = {shown(given)} holds fewer values than {least}; give more, or leave it out"
+        return f"{key} = {shown(given)} is not allowed: {least} or more values are; or leave it out"
     return f"{key} = {shown(given)} is not allowed: {error['msg'][0].lower()}{error['msg'][1:]}"
 
 
