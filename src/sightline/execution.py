@@ -845,6 +845,11 @@ def give_back_memory() -> None:
         trim(0)
 
 
+def slices(count: int, at_once: int) -> list[slice]:
+    """So many items in pieces of `at_once` and a last one: what is made of all at once grows with them."""
+    return [slice(begin, min(begin + at_once, count)) for begin in range(0, count, at_once)]
+
+
 def in_threads(
     function: Callable[[Item], Result],
     items: Iterable[Item],

@@ -432,9 +432,9 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
         nodes, statics = state.estimate.nodes, state.estimate.statics
         step = steps_of(tell, "first pass: searching where nothing was found")
         records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan, step=step))
-        if _share_kept(records) < found + FOUND_AGAIN:
+        before, found = found, _share_kept(records)
+        if found < before + FOUND_AGAIN:
             break
-        found = _share_kept(records)
         state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
     plan = strip.plan(options, options.first_window, options.first_window[0])

@@ -30,6 +30,7 @@ from scipy.linalg.lapack import dtrtri
 
 from sightline.compiled import njit
 from sightline.errors import EstimationError, InputError
+from sightline.execution import slices
 from sightline.writing import let_go, naming_file, scratch_array, scratch_place
 
 Array = NDArray[np.float64]
@@ -545,8 +546,8 @@ class BorderedFactor:
 
 def _rows(n: int) -> Iterator[slice]:
     """So many unknowns, some at a time; scratch arrays of more leave the memory in between."""
-    for begin in range(0, n, ROWS_AT_ONCE):
-        yield slice(begin, min(begin + ROWS_AT_ONCE, n))
+    for some in slices(n, ROWS_AT_ONCE):
+        yield some
         if n > ROWS_AT_ONCE:
             let_go()
 

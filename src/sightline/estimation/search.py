@@ -96,6 +96,8 @@ CLOSELY = 1e-5
 #: A search may move a tone so far from where a sinusoid explained most, farther where it is wider; one that
 #: explains more so far from a tone is a rival of it. In units of one over the length of the data.
 STRAYS = NEAREST_RIVAL = 0.5
+#: The widest tone moves no farther than so, in the same units.
+STRAYS_MOST = 3.0
 #: A step of the search goes no farther in any parameter (logarithms), and is shortened so many times at most.
 FARTHEST_STEP, HALVINGS = 1.5, 6
 #: Second derivatives of the deviance by the logarithms of a tone's size and width, about.
@@ -289,7 +291,7 @@ class Search:
         tones = []
         for k, tone in enumerate(origin.tones):
             log_sigma, shift, log_width = x[4 + 3 * k : 7 + 3 * k]
-            frequency = tone.frequency + 3.0 * shift / self._length
+            frequency = tone.frequency + STRAYS_MOST * shift / self._length
             tones.append(Tone(math.exp(log_sigma), frequency, math.exp(log_width)))
         return replace(
             origin,
@@ -311,13 +313,13 @@ class Search:
         for tone, gain, place in zip(model.tones, model.gains, model.places, strict=True):
             # the place of a sinusoid is known better than the resolution, that of a line to half its width; a
             # tone that could go farther would stand between two, for both
-            farthest = float(np.clip(0.5 * tone.bandwidth * length, STRAYS, 3.0))
+            farthest = float(np.clip(0.5 * tone.bandwidth * length, STRAYS, STRAYS_MOST))
             farthest = 0.0 if gain == math.inf else min(farthest, 0.6 * tone.frequency * length)
             strayed = min(max((tone.frequency - place) * length, -farthest), farthest)
             _, least, most = tone_widths(tone.frequency, length)
             bounds += [
                 (math.log(1e-3), math.log(30.0 * drift)),
-                ((-farthest - strayed) / 3.0, (farthest - strayed) / 3.0),
+                ((-farthest - strayed) / STRAYS_MOST, (farthest - strayed) / STRAYS_MOST),
                 (math.log(least), math.log(most)),
             ]
         least, most = NOISE_SCALES
@@ -401,7 +403,7 @@ class Search:
             # a line beside the tone's place has its energy where the tone has so much less
             narrow = min(tone.bandwidth * self._length, 1.0)
             out[4 + 3 * k, 4 + 3 * k] = TONE_SIZE
-            out[5 + 3 * k, 5 + 3 * k] = 36.0 * math.pi / narrow
+            out[5 + 3 * k, 5 + 3 * k] = 4.0 * math.pi * STRAYS_MOST**2 / narrow
             out[6 + 3 * k, 6 + 3 * k] = TONE_WIDTH
         return out
 

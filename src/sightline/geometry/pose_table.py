@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.execution import slices
 from sightline.geometry.camera_kernels import ROW
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, read_only
 from sightline.geometry.interpolation import POINTS, interpolate
@@ -115,8 +116,7 @@ class PoseTable(ReadOnlyArrays):
         Fewer lines than a cubic needs become samples of the polynomial through them.
         """
         rows = scratch_array((len(t), ROW))
-        for begin in range(0, len(t), _AT_ONCE):
-            some = slice(begin, begin + _AT_ONCE)
+        for some in slices(len(t), _AT_ONCE):
             attitude, rows[some, 9:] = camera_poses(t[some], trajectory, pointing, lever_arm, around, lean)
             rows[some, :9] = attitude.reshape(-1, 9)
         origin = rows[:, 9:].mean(axis=0)

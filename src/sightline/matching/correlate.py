@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import slices
 from sightline.matching import kernels
 from sightline.writing import let_go, scratch_array
 
@@ -206,8 +207,7 @@ def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDAr
     """
     covariance = scratch_array((len(fits), 2, 2))
     factor = _score_factors(fits, kept & (fits[:, 14] > 0))
-    for begin in range(0, len(fits), _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
+    for some in slices(len(fits), _AT_ONCE):
         f, out = fits[some], covariance[some]
         done = f[:, 14] > 0
         f = f[done]

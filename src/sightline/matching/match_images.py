@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.execution import Step, in_threads, no_step
+from sightline.execution import Step, in_threads, no_step, slices
 from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ImageSource
 from sightline.matching import kernels, matches
@@ -151,13 +151,13 @@ def match_images(
     status = np.full(len(points_a), matches.OUTSIDE, np.uint8)
     parts = column_parts(linear, window)
     inside = np.zeros(len(points_a), dtype=bool)
-    for some in _stretches(len(inside)):
+    for some in slices(len(inside), _AT_ONCE):
         places = centre_a[some], centre_b[some], linear[some]
         inside[some] = _inside(*places, size, image_a.shape, image_b.shape)
     reach = (search_px[0] + int(np.ceil(max_shift_px)) + 1, search_px[1] + int(np.ceil(max_shift_px)) + 1)
     # a column after the other: what is pooled takes some columns of all windows
     fits = scratch_array((kernels.COLUMNS, len(points_a))).T
-    for some in _stretches(len(fits)):
+    for some in slices(len(fits), _AT_ONCE):
         fits[some] = np.nan
         let_go()
     turns = None if affine is None else np.broadcast_to(np.eye(2), (len(points_a), 2, 2)).copy()
@@ -325,11 +325,6 @@ def _match_block(
     return status, fits
 
 
-def _stretches(count: int) -> list[slice]:
-    """So many windows, some at a time."""
-    return [slice(begin, begin + _AT_ONCE) for begin in range(0, count, _AT_ONCE)]
-
-
 def _assemble(
     points_a: NDArray[np.float64],
     predicted_b: NDArray[np.float64],
@@ -343,7 +338,7 @@ def _assemble(
     """Matches from fits: thresholds of quality, common factors of the covariance."""
     kept = status == matches.KEPT
     score, b = scratch_array((len(fits),)), scratch_array((len(fits), 2))
-    for some in _stretches(len(fits)):
+    for some in slices(len(fits), _AT_ONCE):
         score[some] = np.where(kept[some], np.clip(fits[some, 9], 0.0, 1.0), np.nan)
         low = kept[some] & ~(score[some] >= min_score)
         alike = agreement_of_gradients(fits[some]) >= chance
@@ -351,7 +346,7 @@ def _assemble(
         status[some][kept[some] & ~low & ~alike] = matches.TEXTURELESS
         let_go()
     covariance = pair_covariances(fits, status == matches.KEPT)
-    for some in _stretches(len(fits)):
+    for some in slices(len(fits), _AT_ONCE):
         own, shift = covariance[some], fits[some, :2]
         if turns is not None:
             own = turns[some] @ own @ turns[some].transpose(0, 2, 1)

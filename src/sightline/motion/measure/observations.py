@@ -163,7 +163,6 @@ class Star:
     @property
     def present(self) -> NDArray[np.bool_]:
         """(G, K): matches that exist and carry weight."""
-
         return self.each(
             lambda residual, weight: np.isfinite(residual[..., 0]) & (weight > 0.0),
             self.residual_px,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
+from sightline.execution import slices
 from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
@@ -121,10 +122,9 @@ def window_grid(
 
 
 def stretches(rows: int, blocks: int, at_once: int | None = None) -> list[slice]:
-    """Windows of whole rows, so many at a time: what is made of all at once grows with the strip."""
+    """Windows of whole rows, so many at a time."""
     blocks = max(blocks, 1)
-    size = max((at_once or _AT_ONCE) // blocks, 1) * blocks
-    return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
+    return slices(rows * blocks, max((at_once or _AT_ONCE) // blocks, 1) * blocks)
 
 
 def brightest_parts(image: ImageSource, grid: WindowGrid) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
+from sightline.execution import slices
 from sightline.imaging.source import ImageSource
 from sightline.matching.on_geometry import within
 from sightline.motion.band import Band
@@ -79,8 +80,8 @@ def check_images(strip: Strip) -> None:
 def _same(one: ImageSource, other: ImageSource) -> bool:
     """Whether two images of one size are the same, pixel for pixel."""
     lines, columns = one.shape
-    for first in range(0, lines, LINES_AT_ONCE):
-        part = (first, min(first + LINES_AT_ONCE, lines)), (0, columns)
+    for some in slices(lines, LINES_AT_ONCE):
+        part = (some.start, some.stop), (0, columns)
         if not np.array_equal(one.read(*part), other.read(*part), equal_nan=True):
             return False
     return True

@@ -28,7 +28,7 @@ from sightline.estimation.banded import (
 )
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_columns
-from sightline.execution import give_back_memory
+from sightline.execution import give_back_memory, slices
 from sightline.motion.strip.fusion import Ties, add_ties
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid, no_information
 from sightline.writing import let_go, scratch_array
@@ -253,8 +253,7 @@ class JointEstimate:
         `images` are the normal equations of the same rows with that on their left side.
         """
         factor = self._factor(constants=True)
-        more = factor.border_covariance.shape[0] - len(images.rhs_static)
-        x, y = factor.solve(images.rhs, np.concatenate([images.rhs_static, np.zeros(more)]))
+        x, y = factor.solve(images.rhs, _beside(images, factor))
         x, _ = _held(factor, self._data, self._prior, x, y)
         return np.asarray(x.reshape(self.grid.count, -1)[:, :3])
 
@@ -262,8 +261,7 @@ class JointEstimate:
         """Logarithm of the likelihood of what was measured, had the ground this relief; plus a constant."""
         prior = replace(self._prior, relief=relief)
         factor = _factor(_banded_factor(self._data, prior), self._data, prior, constants=True)
-        more = np.zeros(factor.border_covariance.shape[0] - len(self._data.rhs_static))
-        beside = np.concatenate([self._data.rhs_static, more])
+        beside = _beside(self._data, factor)
         x, y = factor.solve(self._data.rhs, beside)
         explained = float(self._data.rhs @ x + beside @ y)
         return 0.5 * (explained - factor.logdet + sum(process.logdet for process in relief))
@@ -588,8 +586,7 @@ class _Banded:
         """(size, Q + F); the statics, then what is free: made anew, for an estimate would hold it."""
         statics = self.beside.shape[1]
         out = scratch_array((len(self.beside), statics + self.pulled.shape[1]))
-        for begin in range(0, len(out), ROWS_AT_ONCE):
-            some = slice(begin, begin + ROWS_AT_ONCE)
+        for some in slices(len(out), ROWS_AT_ONCE):
             out[some, :statics], out[some, statics:] = self.beside[some], -self.pulled[some]
             let_go()
         return out
@@ -662,6 +659,11 @@ def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, consta
     return factor if banded.place is None else LaidFactor(factor, banded.place)
 
 
+def _beside(data: NormalEquations, factor: Factor) -> Array:
+    """The right side of all unknowns in the border of a factor; beyond those of the data it is zero."""
+    return np.concatenate([data.rhs_static, np.zeros(factor.q - len(data.rhs_static))])
+
+
 def joint_factor(data: NormalEquations, prior: JointPrior) -> Factor:
     """Factor of data + prior, constants of the motion held; statics and free parabolas are its border."""
     return _factor(_banded_factor(data, prior), data, prior, constants=False)
@@ -701,7 +703,7 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     statics = len(prior.statics_sigma)
     beside = statics + (0 if prior.slow_precision is None else len(prior.slow_precision))
     free = len(prior.free_sigma)
-    x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(free)]))
+    x, y = factor.solve(data.rhs, _beside(data, factor))
     x, y = _held(factor, data, prior, x, y)
     nodes = x.reshape(data.grid.count, data.block)
     covariance = factor.border_covariance
@@ -792,7 +794,7 @@ def projected_covariance(
     With Q an orthonormal basis of the directions: ``C - Q Q'C - C Q Q' + Q (Q'CQ) Q'``, block diagonal only;
     C Q comes from H solves with the factor.
     """
-    q3, parts = _orthonormal(directions, scale), _instants(len(t))
+    q3, parts = _orthonormal(directions, scale), slices(len(t), INSTANTS)
     h = q3.shape[2]
     turn = np.eye(3) if turn is None else turn
     # a pixel of each axis of the result, in the axes of the factor
@@ -845,11 +847,6 @@ def variance_between_nodes(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Arra
     return total
 
 
-def _instants(count: int) -> list[slice]:
-    """So many instants, some at a time."""
-    return [slice(begin, min(begin + INSTANTS, count)) for begin in range(0, count, INSTANTS)]
-
-
 def _orthonormal(directions: Array, scale: Array) -> Array:
     """Orthonormal basis (N, 3, H) of the directions in units of `scale`."""
     n, _, h = directions.shape
@@ -861,7 +858,7 @@ def _orthonormal(directions: Array, scale: Array) -> Array:
         return np.asarray((directions[some] / scale[:, None]).reshape(-1, h))
 
     # some at a time: the triangle of all is that of their triangles
-    parts, out = _instants(n), scratch_array((n, 3, h))
+    parts, out = slices(n, INSTANTS), scratch_array((n, 3, h))
     triangles = np.concatenate([np.linalg.qr(flat(some), mode="r") for some in parts])
     inverse = np.linalg.inv(np.linalg.qr(triangles, mode="r"))
     for some in parts:
@@ -872,7 +869,7 @@ def _orthonormal(directions: Array, scale: Array) -> Array:
 
 def less_directions(values: Array, directions: Array, scale: Array) -> Array:
     """`values` (N, 3) less their least-squares fit by `directions` (N, 3, H), axes in units of `scale`."""
-    q, parts = _orthonormal(directions, scale), _instants(len(values))
+    q, parts = _orthonormal(directions, scale), slices(len(values), INSTANTS)
     held = np.zeros(q.shape[2])
     for some in parts:
         held += np.einsum("nph,np->h", q[some], values[some] / scale)

@@ -47,6 +47,7 @@ def strip_differences(strip: Strip, state: StripState) -> list[AngleDifferences]
     """S1's angular differences of every pair of a strip, about the axes of the estimate."""
     sigmas = (0.0, 0.0)
     if state.prior.relief is not None:
+        # of the first row, of which nothing before it tells
         mean, slope = (math.sqrt(float(p.startup_variances[0])) for p in state.prior.relief)
         sigmas = mean, slope
     stars = [record.star for record in state.records]

@@ -23,8 +23,9 @@ from sightline.compiled import njit
 from sightline.estimation.banded import products
 from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.series_kernels import share_of_instant
-from sightline.execution import available_processors, in_threads
+from sightline.execution import available_processors, in_threads, slices
 from sightline.motion.measure.observations import Star
+from sightline.motion.measure.windows import stretches
 from sightline.motion.strip.slow_errors import SlowErrors
 from sightline.writing import let_go, scratch_array
 
@@ -73,10 +74,10 @@ class TimeGrid:
     def interpolate(self, values: Array, t: Array) -> Array:
         """Node values (count, ...) at the instants `t` (N,)."""
         out = np.empty((len(t), *values.shape[1:]))
-        for begin in range(0, len(out), _INSTANTS):
-            first, w = self.weights(t[begin : begin + _INSTANTS])
+        for some in slices(len(t), _INSTANTS):
+            first, w = self.weights(t[some])
             gathered = values[first[:, None] + np.arange(TAPS)]
-            out[begin : begin + _INSTANTS] = np.einsum("nk,nk...->n...", w, gathered)
+            out[some] = np.einsum("nk,nk...->n...", w, gathered)
         return out
 
     def spread(self, values: Array, t: Array) -> Array:
@@ -774,9 +775,7 @@ def _support(star: Star, grid: TimeGrid) -> int:
 
 def _parts(star: Star, most: int = PART_ROWS) -> list[slice]:
     """Whole rows of windows of a star, some at a time."""
-    rows, blocks = star.shape
-    size = min(max(PART_PATCHES // blocks, 1), most) * blocks
-    return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
+    return stretches(*star.shape, min(PART_PATCHES, most * star.shape[1]))
 
 
 def _at_once(pieces: Sequence[_Piece], grid: TimeGrid, block: int, width: int) -> int:

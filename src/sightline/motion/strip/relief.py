@@ -35,6 +35,9 @@ ROW_SAMPLES = 21
 #: Unknown relief is no smoother than this: its correlation length is at most so many half swaths, or that of
 #: slopes (sigma over length) so small. What does not show within a row is not thereby known to be flat.
 LONGEST, LEAST_SLOPE = 2.0, 0.1
+#: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
+#: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
+STEEPEST_SLOPE = 0.5
 #: Sizes that unknown relief may have, as shares of the sigma that was given; how probable each is beforehand.
 SHARES = 0.25 ** np.arange(3)
 BELIEF = np.array([0.5, 0.25, 0.25])
@@ -42,9 +45,6 @@ BELIEF = np.array([0.5, 0.25, 0.25])
 LENGTHS = 3
 #: Smaller sizes are not tried where one is less likely than the best by this, in natural logarithms.
 FAR_LESS = 12.0
-#: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
-#: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
-STEEPEST_SLOPE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
