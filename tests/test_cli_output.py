@@ -17,7 +17,7 @@ import pytest
 
 from sightline.cli.output import output_folder, stages_folder
 from sightline.errors import FormatError, InputError
-from sightline.inputs import note
+from sightline.inputs import note, will_write
 from sightline.kinds import open as kinds_known
 from sightline.kinds.kind import earlier
 from sightline.output import folder as output
@@ -282,6 +282,19 @@ def test_reading_what_is_sure_to_be_replaced_is_refused_at_once(tmp_path):
         note(tmp_path / "." / "summary.json")
         raise AssertionError("the work went on")
     assert content(tmp_path) == {"summary.json": "earlier"}
+
+
+def test_names_that_only_the_input_tells_are_refused_before_the_work_too(tmp_path):
+    write(tmp_path, {"PAN.tif": "raw"})
+    with (
+        pytest.raises(InputError, match=r"PAN\.tif: was read for the result and would be replaced"),
+        output_folder(tmp_path, overwrite=True),
+    ):
+        note(tmp_path / "PAN.tif")
+        will_write(["B0.tif"])
+        will_write(["PAN.tif"])
+        raise AssertionError("the work went on")
+    assert content(tmp_path) == {"PAN.tif": "raw"}
 
 
 # ---- folders that cannot be written

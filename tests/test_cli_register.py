@@ -188,3 +188,17 @@ def test_a_run_of_other_options_is_refused_where_it_is_to_go_on(recovery, tmp_pa
     # without the word it is named and done again
     stopped_at("after-0", [*command, "--onto", "B1"], monkeypatch)
     assert "after-0.stage.npz is passed over" in capsys.readouterr().err
+
+
+def test_onto_the_folder_of_its_own_images_is_refused_before_anything_is_resampled(
+    recovery, tmp_path, capsys, monkeypatch
+):
+    scene = tmp_path / "scene"
+    shutil.copytree(recovery.scene, scene)
+    before = {path.name: path.read_bytes() for path in scene.iterdir()}
+    monkeypatch.setattr(RegisteredImage, "read", None)
+    toml, motion = str(scene / "acquisition.toml"), str(recovery.folder)
+    assert run(["register", toml, "--motion", motion, "--out", str(scene), "--overwrite"]) == 2
+    said = capsys.readouterr().err
+    assert "was read for the result and would be replaced" in said and "finished stages" not in said
+    assert {path.name: path.read_bytes() for path in scene.iterdir()} == before

@@ -50,7 +50,7 @@ class Inputs:
     """
 
     own: Path
-    replaced: frozenset[str] = frozenset()
+    replaced: set[str] = field(default_factory=set)
     _stamps: dict[Path, _Stamp] = field(default_factory=dict)
 
     def add(self, path: Path) -> None:
@@ -59,6 +59,13 @@ class Inputs:
             if self.replaced and os.path.realpath(path) in self.replaced:
                 raise replaced_error(path)
             self._stamps[path] = _Stamp.of(path)
+
+    def replace(self, names: Iterable[str]) -> None:
+        """Files of these names are written beside `own`: none that was or will be met may be one of them."""
+        self.replaced |= {os.path.realpath(self.own.parent / name) for name in names}
+        for path in self._stamps:
+            if os.path.realpath(path) in self.replaced:
+                raise replaced_error(path)
 
     def changed(self) -> Path | None:
         """The first file that is not what it was."""
@@ -77,12 +84,9 @@ _watching: list[Inputs] = []
 
 
 @contextmanager
-def noted(own: Path, replaced: Iterable[Path] = ()) -> Iterator[Inputs]:
-    """Every file that is read during the block, as far as readers `note` it; none below `own`.
-
-    InputError where one of them is of `replaced`, files that the command will write.
-    """
-    seen = Inputs(own, frozenset(os.path.realpath(path) for path in replaced))
+def noted(own: Path) -> Iterator[Inputs]:
+    """Every file that is read during the block, as far as readers `note` it; none below `own`."""
+    seen = Inputs(own)
     _watching.append(seen)
     try:
         yield seen
@@ -113,6 +117,19 @@ def note(path: Path) -> None:
     """Call before a file is read: it is an input of the command under way, if there is one."""
     for seen in _watching:
         seen.add(path)
+
+
+def will_write(names: Iterable[str]) -> None:
+    """Call when it is known what the command under way will write into its folder, before the work.
+
+    Raises
+    ------
+    InputError
+        If a file of these names was read; later, where one is read.
+    """
+    names = list(names)
+    for seen in _watching:
+        seen.replace(names)
 
 
 def replaced_error(path: Path) -> InputError:

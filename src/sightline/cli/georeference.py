@@ -73,7 +73,9 @@ def georeference(
 
     begun = time.perf_counter()
     with (
-        output_folder(out, overwrite=overwrite, resume=resume, writes=["summary.json"]) as folder,
+        output_folder(
+            out, overwrite=overwrite, resume=resume, writes=["summary.json", "poses.csv"]
+        ) as folder,
         progress() as report,
     ):
         stages = finished_stages(out)

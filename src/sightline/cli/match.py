@@ -99,7 +99,8 @@ def match(
         "step": step,
         "search_px": search,
     }
-    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+    writes = ["summary.json"] if bands is not None else ["summary.json", "shifts.tif"]
+    with output_folder(out, overwrite=overwrite, writes=writes) as folder, progress() as report:
         report("opening the images")
         if bands is not None:
             result = _of_bands(a, b, bands.value, band, mask, mask_b, report, options)

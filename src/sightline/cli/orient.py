@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 
 _AXES = ("roll", "pitch", "yaw")
+#: Files that every orientation is written into.
+_WRITES = ("summary.json", "orientation.csv", "covariance.csv")
 #: What residuals are of the methods that adjust no points.
 _RESIDUALS = {"epipolar": "distance from epipolar lines", "plane": "miss on the plane (relief is in it)"}
 
@@ -70,7 +72,7 @@ def orient(
     begun = time.perf_counter()
     if predict:
         with (
-            output_folder(out, overwrite=overwrite) as folder,
+            output_folder(out, overwrite=overwrite, writes=_WRITES) as folder,
             progress() as report,
             naming(file),
         ):
@@ -82,7 +84,7 @@ def orient(
             say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
         return
     with (
-        output_folder(out, overwrite=overwrite) as folder,
+        output_folder(out, overwrite=overwrite, writes=_WRITES) as folder,
         progress() as report,
     ):
         with naming(file):

@@ -54,7 +54,9 @@ def recover(
     RecoverOptions(method=method, withhold=left_out)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
     with (
-        output_folder(out, overwrite=overwrite, resume=resume) as folder,
+        output_folder(
+            out, overwrite=overwrite, resume=resume, writes=["summary.json", "motion.csv"]
+        ) as folder,
         progress() as report,
     ):
         stages = finished_stages(out)

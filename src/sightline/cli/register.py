@@ -105,6 +105,7 @@ def register_into(
 
     from sightline.applications.registration import register_bands
     from sightline.errors import InputError, naming
+    from sightline.inputs import will_write
     from sightline.io.acquisition.load import load_acquisition
     from sightline.io.results.recovered import as_given, read_recovered
     from sightline.io.results.registered_frames import frames_picture
@@ -121,6 +122,7 @@ def register_into(
                 "--onto, --type and --stack are for bands of a strip; frames of a spinning camera become one "
                 "picture: leave them out"
             )
+        will_write(Picture.files)
         report("laying the frames together")
         with naming(acquisition):
             return Picture().render(frames_picture(acquired, motion), folder, report, begin)

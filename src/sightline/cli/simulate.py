@@ -290,9 +290,11 @@ def _orbit(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
 
 def _acquired(recipe: SceneRecipe, folder: Path, out: Path, report: Progress) -> list[str]:
     """A strip of the cameras of an acquisition; the names of its files."""
-    from sightline.io.scene.acquired import acquired_scenario, read_acquired, write_acquired
+    from sightline.inputs import will_write
+    from sightline.io.scene.acquired import acquired_files, acquired_scenario, read_acquired, write_acquired
 
     file = read_acquired(recipe.options)
+    will_write(acquired_files(file))
     scenario = acquired_scenario(file, recipe.seed, recipe.options, folder)
     step = steps_of(report, "rendering the bands, and the truth")
     return list(write_acquired(scenario, file, folder, out, step))

@@ -52,7 +52,9 @@ def tdi(
     from sightline.io.results.tdi_settings import SETTINGS, TAGS
 
     with (
-        output_folder(out, overwrite=overwrite, resume=resume, writes=["summary.json"]) as folder,
+        output_folder(
+            out, overwrite=overwrite, resume=resume, writes=["summary.json", "choice.csv"]
+        ) as folder,
         progress() as report,
     ):
         stages = finished_stages(out, refuse=resume and not overwrite)

@@ -93,14 +93,17 @@ def tie(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import answered, progress, say
     from sightline.errors import naming
+    from sightline.inputs import will_write
     from sightline.io.formats.images import load_raster
     from sightline.io.tied import chosen_images, files_with_control_points, load_tied, read_ground
     from sightline.kinds.tie import ReferenceTies
 
     begun = time.perf_counter()
-    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+    writes = ["summary.json", "control_points.csv"]
+    with output_folder(out, overwrite=overwrite, writes=writes) as folder, progress() as report:
         report("reading the images, the reference and the DEM")
         tied = load_tied(acquisition)
+        will_write([f"{tied.kind}.toml"])
         chosen = chosen_images(tied, image or [], IMAGES)
         if points is None and tied.kind == "acquisition" and len(tied.names) == 1:
             points = ALONE_POINTS

@@ -88,7 +88,7 @@ def output_folder(
         for; they are removed where it ends well, and where an input changed.
     writes
         Names, below `folder`, of files that the command is sure to write: that one of them is read is refused
-        at once, and not when all is done.
+        at once, and not when all is done. Those that only its input tells: `sightline.inputs.will_write`.
     note
         Called with what the user should know: a lock taken over, stages gone on from.
 
@@ -114,9 +114,10 @@ def output_folder(
             with (
                 _stages(folder, resume, note, overwrite=overwrite),
                 _staging(folder) as staging,
-                noted(staging, [folder / name for name in writes]) as inputs,
+                noted(staging) as inputs,
                 scratch_in(staging / _SCRATCH),
             ):
+                inputs.replace(writes)
                 try:
                     yield staging / NEW
                 except Exception as error:

@@ -23,6 +23,7 @@ from sightline.errors import printable
 from sightline.execution import Progress, Step, silent, steps_of, thread_count
 from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.imaging.source import ImageSource
+from sightline.inputs import will_write
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.images import open_image
 from sightline.io.names import file_stems
@@ -131,6 +132,7 @@ def write_products(
     names, every = acquisition.names, range(len(acquisition.bands))
     parts = [list(every)] if stack else [[k] for k in every]
     files = ["registered.tif"] if stack else [f"{stem}.tif" for stem in file_stems(names)]
+    will_write(files)
     dtypes = [pixel_type(acquisition, part, pixels) for part in parts]
     step = steps_of(tell, "resampling the bands")
     size = sum(len(part) * dtype.itemsize for part, dtype in zip(parts, dtypes, strict=True))

@@ -25,8 +25,8 @@ from sightline.io.names import file_stems, toml_value
 from sightline.simulate.acquired import AcquiredOptions, AcquiredScenario, cropped
 from sightline.simulate.files import write_image, write_numbers
 
-#: Name of the file in the folder of a scene.
-TOML = "acquisition.toml"
+#: Names of files in the folder of a scene beside its images.
+TOML, TRUTH, BAND_TRUTH = "acquisition.toml", "truth.csv", "truth-bands.csv"
 #: Keys that name files, by table.
 _FILES = {
     "platform": ("positions", "attitudes", "earth_orientation", "model"),
@@ -153,8 +153,8 @@ def write_acquired(
         camera = scenario.cameras[index]
         lines = part_of(step, index, len(scenario.cameras))
         written.append(write_image(folder / name, camera.shape, scenario.chunks(index), lines))
-    written.append(write_numbers(folder / "truth.csv", "t,roll,pitch,yaw", scenario.truth))
-    written.append(_write_band_truth(folder / "truth-bands.csv", scenario))
+    written.append(write_numbers(folder / TRUTH, "t,roll,pitch,yaw", scenario.truth))
+    written.append(_write_band_truth(folder / BAND_TRUTH, scenario))
     toml = folder / TOML
     toml.write_text(acquired_toml(file, scenario.seed, out), encoding="utf-8")
     return {path.name: path for path in [toml, *written]}
@@ -186,6 +186,11 @@ def acquired_toml(file: AcquiredFile, seed: int, place: Path) -> str:
         kept = found["matching"].items()
         found["matching"] = {key: value for key, value in kept if key not in ("select", "features")}
     return "\n".join(_toml_lines(found))
+
+
+def acquired_files(file: AcquiredFile) -> list[str]:
+    """Names of all files of the strip."""
+    return [TOML, *_images(file), TRUTH, BAND_TRUTH]
 
 
 def _images(file: AcquiredFile) -> list[str]:
