@@ -11,6 +11,7 @@ import pytest
 import rasterio
 
 import sightline
+from sightline.cli.export import FORMS
 from sightline.cli.main import run
 
 
@@ -67,6 +68,7 @@ def test_a_flat_world_has_no_body_to_be_fixed_to(recovery, tmp_path, to, capsys)
     assert run(words(recovery, tmp_path, to, *toml_of(recovery))) == 2
     said = capsys.readouterr().err
     assert f"--to {to} needs axes that are fixed to a body; these are local" in said
+    assert said.endswith("as it is, this result gives --to aem, oem, quaternions, shifts, isis\n")
     assert not (tmp_path / "out").exists()
 
 
@@ -137,3 +139,14 @@ def test_an_earlier_export_goes_whole(recovery, tmp_path):
     (tmp_path / "out" / "mine.txt").write_text("mine")
     assert run([*words(recovery, tmp_path, "quaternions"), "--overwrite"]) == 0
     assert names(tmp_path / "out") == ["export.json", "mine.txt", "quaternions.csv"]
+
+
+def test_the_forms_that_are_named_in_place_of_one_are_those_that_can_be_written(recovery, tmp_path, capsys):
+    assert run(words(recovery, tmp_path, "shifts")) == 2
+    (given,) = [line for line in capsys.readouterr().err.splitlines() if "as it is" in line]
+    named = given.partition("gives --to ")[2].split(", ")
+    others = [to for to in FORMS if to not in named and to != "ck"]
+    for to in named:
+        assert run(["export", str(recovery.folder), "--to", to, "--out", str(tmp_path / to)]) == 0
+    for to in others:
+        assert run(["export", str(recovery.folder), "--to", to, "--out", str(tmp_path / to)]) == 2

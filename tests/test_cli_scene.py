@@ -65,3 +65,15 @@ def test_a_scene_given_to_another_command_is_pointed_back(tmp_path, capsys):
     scene.write_text('kind = "frames"\ncase = "small"\nframes = 4\n')
     assert run(["georeference", str(scene), "--out", str(tmp_path / "out")]) == 2
     assert "looks like a file for `sightline simulate` (SCENE.toml" in capsys.readouterr().err
+
+
+def test_tdi_out_of_step_with_the_ground_is_said(tmp_path, capsys):
+    size = ["--lines", "420", "--columns", "150", "--set", "stages=32"]
+    command = ["simulate", "line-of-sight", *size, "--out", str(tmp_path), "--overwrite"]
+    assert run(command) == 0
+    assert "out of step" not in capsys.readouterr().err
+    assert run([*command, "--set", "line_period=4.8e-4"]) == 0
+    # 3.264 m over pixels of 3.4 m: the ground moves .96 px in a line
+    assert "out of step with the ground by 1.24 px over its 32 stages" in capsys.readouterr().err
+    assert run([*command, "--set", "line_period=4.8e-4", "--set", "ifov=4.8e-6"]) == 0
+    assert "out of step" not in capsys.readouterr().err

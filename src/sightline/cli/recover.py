@@ -59,7 +59,7 @@ def recover(
         ) as folder,
         progress() as report,
     ):
-        stages = finished_stages(out)
+        stages = finished_stages(out, refuse=resume and not overwrite)
         summary = recover_into(folder, acquisition, report, method=method, withhold=left_out, stages=stages)
     if answered(summary, as_json):
         return

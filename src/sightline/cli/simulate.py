@@ -25,7 +25,7 @@ from sightline.cli.options import (
     examples,
 )
 from sightline.cli.output import output_folder
-from sightline.cli.terminal import announce, print_json, progress, say
+from sightline.cli.terminal import announce, complain, print_json, progress, say
 from sightline.cli.usable import (
     least_points,
     refuse_useless_flight,
@@ -38,6 +38,7 @@ from sightline.execution import Progress, steps_of
 if TYPE_CHECKING:
     from sightline.geometry.camera import PushbroomCamera
     from sightline.io.scene.recipe import SceneRecipe
+    from sightline.simulate.strip_options import StripOptions
 
 # Named through typer, because its newer versions carry a click of their own.
 _UsageError: Any = typer.BadParameter.__base__
@@ -250,6 +251,10 @@ _NEXT = {
 }
 
 
+#: px; beyond it the blur of TDI that is out of step is said: contrast at Nyquist is a tenth less.
+_SLIP = 0.5
+
+
 def _strip(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
     """A strip over a flat world; the names of its files."""
     from sightline.geometry.surface import Plane
@@ -263,10 +268,24 @@ def _strip(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
 
     size = options.lines, options.columns
     refuse_useless_strip(cameras_of, Plane(0.0), size)
+    _warn_of_slip(options)
     step = steps_of(report, "rendering the bands, and the truth")
     return list(
         write_strip(line_of_sight_case(case, seed, **recipe.given), folder, **recipe.files, step=step)
     )
+
+
+def _warn_of_slip(options: StripOptions) -> None:
+    """Say where TDI is out of step with the ground: a scene that may be meant, and is blurred."""
+    slip, name = max((abs(options.tdi_slip(k)), name) for k, name in enumerate(options.names))
+    if slip > _SLIP:
+        period = options.altitude * options.ifov / options.ground_speed
+        complain(
+            "warning",
+            f"the TDI of {name!r} is out of step with the ground by {slip:.3g} px over its "
+            f"{max(options.stages)} stages, which blurs its lines; in step are line_period = "
+            f"{period:.6g} s at this ground_speed, altitude and ifov, and line_ratios that are pixel_ratios",
+        )
 
 
 def _orbit(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:

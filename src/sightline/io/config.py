@@ -381,6 +381,8 @@ def _explain(error: Any) -> str:
     if kind == "literal_error":
         return f"{key} = {shown(given)} is not known; allowed: {context['expected']}"
     if kind in ("tuple_type", "list_type"):
+        if isinstance(where[-1], int) and len(where) == 2:
+            return f"{key} = {shown(given)} is not allowed: a list is, as {where[0]} = [[1, 2], [3, 4]]"
         return f"{key} = {shown(given)} is not allowed: a list is, its values in brackets, as [1.0, 2.0]"
     if kind == "too_long":
         return f"{key} holds more values than the {context['max_length']} that are allowed; leave some out"

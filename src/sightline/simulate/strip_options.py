@@ -207,6 +207,11 @@ class StripOptions:
         columns = self.shape(band)[1]
         return np.array(self.stages, dtype=np.int16)[np.arange(columns) * len(self.stages) // columns]
 
+    def tdi_slip(self, band: int) -> float:
+        """px by which the ground and the charge move apart over all stages of a band; 0 without TDI."""
+        along, across = self.ratios(band)
+        return (max(self.stages, default=1) - 1) * (self.gsd[1] * along / (self.gsd[0] * across) - 1.0)
+
     def first_time(self, band: int) -> float:
         """s, middle of the first exposure of a band: all begin together."""
         return 0.5 * (self.ratios(band)[0] - 1.0) * self.line_period

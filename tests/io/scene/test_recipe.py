@@ -46,12 +46,47 @@ def test_numbers_that_no_short_decimal_has_read_back_to_the_same_bits(scene):
     assert again.options.angles == ((1e-5, -2e-6, 0.0), (0.0, 0.0, 1e-9))
 
 
-def test_flags_win_over_settings_and_settings_over_the_file(scene):
+def test_flags_and_settings_win_over_the_file(scene):
     file = scene('kind = "stereo"\nseed = 4\nshots = 7\npoints = 50\nwindow = 9.0\n')
-    recipe = read_recipe("stereo", file, ["points=60", "shots=8"], {"shots": 9, "seed": None})
+    recipe = read_recipe("stereo", file, ["points=60"], {"shots": 9, "seed": None})
     options = recipe.options
     assert (options.shots, options.points, options.window, recipe.seed) == (9, 60, 9.0, 4)
     assert read_recipe("stereo", file, (), {"seed": 5}).seed == 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "flag", "key"),
+    [
+        ("stereo", "shots=8", {"shots": 8}, "shots"),
+        ("line-of-sight", "lines=1e3", {"lines": 500}, "lines"),
+        ("frames", "shape=100,100", {"columns": 500}, "shape"),
+    ],
+)
+def test_a_key_given_by_a_flag_and_a_setting_is_refused(kind, given, flag, key):
+    assert (
+        said(given, kind=kind, **flag)
+        == f"--{next(iter(flag))} and --set {key} are both given; keep one of them"
+    )
+
+
+def test_lists_of_lists_need_no_more_than_lists(scene):
+    assert read_recipe("line-of-sight", None, ["blank=[[100, 5],[.5e3,6],]"]).options.blank == (
+        (100, 5),
+        (500, 6),
+    )
+    for wrong in ("blank=[[100, 5]", "blank=[100,50", "lags=0,.15]"):
+        assert said(wrong, kind="line-of-sight").startswith(f"--set {wrong}: a bracket is not closed, or not")
+    message = said("cloud_banks=100,50", kind="line-of-sight")
+    assert "cloud_banks[1] = 100 is not allowed: a list is, as cloud_banks = [[1, 2], [3, 4]]" in message
+
+
+@pytest.mark.parametrize("key", ["blank", "cloud_banks"])
+def test_stretches_beyond_the_strip_are_refused_where_they_are_asked_for(scene, key):
+    assert "the strip has lines 0 to 299" in said(f"{key}=[[300, 5]]", kind="line-of-sight", lines=300)
+    assert read_recipe("line-of-sight", None, [f"{key}=[[299, 5]]"], {"lines": 300}).options.lines == 300
+    # a scene of less lines than its case was made for is made again from its file
+    less = read_recipe("line-of-sight", None, (), {"lines": 300, "case": "clouds"})
+    assert read_recipe("line-of-sight", scene(recipe_toml(less))).options == less.options
 
 
 def test_what_a_file_leaves_out_is_that_of_its_case(scene):
@@ -128,7 +163,7 @@ def test_rendered_frames_have_ground_far_around_unless_it_is_given():
         ("relief=hilly", "relief = 'hilly' is not known; allowed: 'none', 'smooth'"),
         (
             "track_shots=[[[[[",
-            "track_shots[1] = '[[[[[' is not allowed: a whole number without",
+            "--set track_shots=[[[[[: a bracket is not closed, or not opened",
         ),
         ("track_shots=4,2", "`track_shots` must be (fewest, most)"),
         ("unpaired=perhaps", "unpaired = 'perhaps' is not allowed"),

@@ -162,9 +162,8 @@ class Exported:
         """
         if self.flight:
             raise InputError(
-                f"--to {to} holds the camera of a strip; poses of a flight give quaternions, and in "
-                "Earth-fixed axes aem and oem, on the Earth stac and geoparquet; its folder holds models of "
-                "its camera for other programs"
+                f"--to {to} holds the camera of a strip, and poses of a flight none; its folder holds models "
+                "of its camera for other programs"
             )
         if self.acquisition is None:
             raise InputError(
@@ -172,7 +171,7 @@ class Exported:
                 "ACQUISITION.toml that it was recovered from"
             )
         if not self.cameras:
-            raise InputError(f"--to {to} is of strips ([[band]]); frames give quaternions, aem and oem")
+            raise InputError(f"--to {to} is of strips ([[band]]), and this is of frames")
         return self.acquisition
 
     def needs_body(self, to: str) -> tuple[Acquisition, tuple[float, float]]:
@@ -235,6 +234,20 @@ def surface_radii(surface: Surface) -> tuple[float, float]:
     return WGS84
 
 
+def forms_of(exported: Exported) -> list[str]:
+    """Forms that can hold a result as it is, as far as its kind, its axes and its times tell."""
+
+    def held(to: str) -> bool:
+        try:
+            for needed in _NEEDS[to]:
+                needed(exported, to)
+        except InputError:
+            return False
+        return exported.sigma is not None or to not in OF_MOTION
+
+    return [to for to in _NEEDS if to in (exported.only or _NEEDS) and held(to)]
+
+
 def write_export(to: str, folder: Path, exported: Exported, kernels: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Write one form into a folder.
 
@@ -268,7 +281,13 @@ def write_export(to: str, folder: Path, exported: Exported, kernels: tuple[Path,
             f"{' and '.join(exported.only)}"
         )
     begun = time.perf_counter()
-    found = EXPORTS[to](folder, exported, kernels)
+    try:
+        found = EXPORTS[to](folder, exported, kernels)
+    except InputError as error:
+        others = forms_of(exported)
+        if to in others:
+            raise
+        raise InputError(f"{error}; as it is, this result gives --to {', '.join(others)}") from error
     inputs = {} if exported.acquisition is None else exported.acquisition.input_hashes()
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return {
@@ -305,8 +324,7 @@ def _need_message(exported: Exported, to: str) -> tuple[str, str]:
     if exported.frame is None:
         where = "local, or of another body" if exported.flight else "of another body"
         raise InputError(
-            f"--to {to} names its axes, and those of this result have no name there: they are {where}; "
-            "--to quaternions holds the same without a name"
+            f"--to {to} names its axes, and those of this result have no name there: they are {where}"
         )
     return exported.epoch, exported.frame
 
@@ -319,21 +337,25 @@ def _aem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any
     return {"rows": len(exported.t), "axes": f"{frame} to SC_BODY_1"}
 
 
-def _oem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
-    """``orbit.oem``: positions and velocities of the body at the times of the motion."""
-    epoch, frame = _need_message(exported, "oem")
+def _need_positions(exported: Exported, to: str) -> Array:
+    """Positions that have velocities."""
     if exported.position is None:
         raise InputError(
-            "--to oem gives positions, which the result does not hold: add --acquisition FILE, the "
+            f"--to {to} gives positions, which the result does not hold: add --acquisition FILE, the "
             "ACQUISITION.toml that it was recovered from"
         )
     if len(exported.t) < 2:
-        raise InputError("--to oem gives velocities; one position alone has none")
-    velocity = rates(exported.position, exported.t)
+        raise InputError(f"--to {to} gives velocities; one position alone has none")
+    return exported.position
+
+
+def _oem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``orbit.oem``: positions and velocities of the body at the times of the motion."""
+    epoch, frame = _need_message(exported, "oem")
+    position = _need_positions(exported, "oem")
+    velocity = rates(position, exported.t)
     name = exported.name.upper()
-    write_oem(
-        folder / "orbit.oem", exported.t, exported.position, velocity, epoch, object_name=name, frame=frame
-    )
+    write_oem(folder / "orbit.oem", exported.t, position, velocity, epoch, object_name=name, frame=frame)
     return {"rows": len(exported.t), "axes": frame}
 
 
@@ -494,21 +516,28 @@ def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[s
     return {"bands": bands, "axes": "samples, lines of each band: with the motion less without it"}
 
 
-def _stac(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
-    """``stac.json``: what is covered and when, and the files of the result."""
-    features, radii = exported.covers("stac")
+def _need_earth(exported: Exported, to: str) -> tuple[tuple[dict[str, Any], ...], tuple[float, float], str]:
+    """What is covered of the Earth, its radii, and UTC of t = 0."""
+    features, radii = exported.covers(to)
     if abs(radii[0] / WGS84[0] - 1.0) > 1e-3:
         raise InputError(
-            "--to stac gives longitudes and latitudes of the Earth, and this is another body; give "
+            f"--to {to} gives longitudes and latitudes of the Earth, and this is another body; give "
             "--to geoparquet"
         )
     if exported.epoch is None:
         raise InputError(
-            "--to stac gives times in UTC: add the epoch (UTC of t = 0) to the file and run the command again"
+            f"--to {to} gives times in UTC: add the epoch (UTC of t = 0) to the file and run the command "
+            "again"
         )
+    return features, radii, exported.epoch
+
+
+def _stac(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``stac.json``: what is covered and when, and the files of the result."""
+    features, _radii, epoch = _need_earth(exported, "stac")
     span = float(exported.t.min()), float(exported.t.max())
     return write_stac(
-        folder, exported.name, features, span, exported.epoch, exported.folder, exported.files, exported.cube
+        folder, exported.name, features, span, epoch, exported.folder, exported.files, exported.cube
     )
 
 
@@ -712,5 +741,19 @@ EXPORTS: dict[str, Callable[[Path, Exported, tuple[Path, ...]], dict[str, Any]]]
 WITH_KERNELS: tuple[str, ...] = ("ck", "isis")
 #: Forms for catalogues: what is covered, and when.
 OF_PLACE: tuple[str, ...] = ("stac", "geoparquet")
+#: What each form needs of a result besides kernels, which only those have who ask for theirs.
+_NEEDS: dict[str, tuple[Callable[[Exported, str], object], ...]] = {
+    "csm": (Exported.needs_body, Exported.needs_et),
+    "isd": (Exported.needs_body, Exported.needs_et),
+    "aem": (_need_message,),
+    "oem": (_need_message, _need_positions),
+    "rpc": (Exported.needs_body,),
+    "quaternions": (),
+    "shifts": (Exported.needs_cameras,),
+    "isis": (Exported.needs_cameras, Exported.needs_et),
+    "stac": (_need_earth,),
+    "geoparquet": (Exported.covers,),
+    "igm": (Exported.needs_body,),
+}
 #: Forms that hold what a recovered motion did, so that there are none without it.
 OF_MOTION: tuple[str, ...] = ("shifts", "isis")

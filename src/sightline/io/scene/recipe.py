@@ -77,7 +77,8 @@ def read_recipe(
     settings : sequence of str
         ``key=value``, the value as in TOML; texts need no quotation marks, lists no brackets.
     flags : mapping, optional
-        Keys by name, None: not given. They replace those of `settings`, which replace those of the file.
+        Keys by name, None: not given. They and `settings` replace keys of the file; a key is given by one of
+        both.
 
     Returns
     -------
@@ -114,6 +115,7 @@ def read_recipe(
             given[key] = str(file.parent / given[key])
     given |= _checked(model, parsed, Path("--set"))
     for name, value in asked.items():
+        _refuse_twice(model, parsed, name)
         given |= _flag(model, family, case, given, name, value)
     seed = given.pop("seed", 0)
     options = {key: value for key, value in given.items() if key not in (*family.files, "kind", "case")}
@@ -124,6 +126,7 @@ def read_recipe(
     recipe = SceneRecipe(family, case, seed, options, dict(sorted(written.items())))
     try:
         options_made = recipe.options
+        _refuse_beyond(options_made, parsed)
         if chosen is not None and options_made.columns != len(chosen):
             raise InputError(
                 f"the table of stages is of {len(chosen)} columns, the strip has {options_made.columns}; "
@@ -218,6 +221,27 @@ def _flag(
     return _checked(model, {name: value}, place)
 
 
+def _refuse_twice(model: type[SceneFile], parsed: Mapping[str, Any], name: str) -> None:
+    """InputError where a key that a flag sets is also given after --set."""
+    key = "shape" if name in ("lines", "columns") and "shape" in model.model_fields else name
+    if key in parsed:
+        raise InputError(f"--{name} and --set {key} are both given; keep one of them")
+
+
+def _refuse_beyond(options: Any, parsed: Mapping[str, Any]) -> None:
+    """InputError where a stretch of lines that is asked for begins where the strip has ended.
+
+    Cases and files hold stretches of longer strips, of which less was asked for.
+    """
+    for name in ("cloud_banks", "blank"):
+        for first, count in getattr(options, name) if name in parsed else ():
+            if first >= options.lines:
+                raise InputError(
+                    f"--set: {name} holds [{first}, {count}], {count} lines from line {first} on; the strip "
+                    f"has lines 0 to {options.lines - 1}: begin there, or give more --lines"
+                )
+
+
 def _parsed(model: type[SceneFile], settings: Sequence[str]) -> dict[str, Any]:
     """``key=value`` words as the tables of a file."""
     tables: dict[str, Any] = {}
@@ -229,6 +253,10 @@ def _parsed(model: type[SceneFile], settings: Sequence[str]) -> dict[str, Any]:
         if key in ("kind", "case", "seed"):
             there = "the word after `sightline simulate`" if key == "kind" else f"--{key}"
             raise InputError(f"--set {setting}: {key} is given by {there}")
+        if text.count("[") != text.count("]"):
+            raise InputError(
+                f"--set {setting}: a bracket is not closed, or not opened; pair them as [[1, 2], [3, 4]]"
+            )
         value = _value(text)
         field = model.model_fields.get(key)
         if field is not None and not isinstance(value, list) and _is_list(field.annotation):
@@ -244,12 +272,24 @@ def _value(text: str) -> Any:
     except (ValueError, RecursionError):
         inner = text.strip()
         listed = inner.startswith("[") and inner.endswith("]")
-        parts = [part.strip() for part in (inner[1:-1] if listed else inner).split(",")]
+        parts = _items(inner[1:-1] if listed else inner)
         if listed or len(parts) > 1:
             return [_value(part) for part in parts if part]
         # numbers that TOML does not have: .3
         return float(text) if re.fullmatch(r"[+-]?(\d+\.?|\d*\.\d+)(e[+-]?\d+)?", text, re.I) else text
     return value
+
+
+def _items(text: str) -> list[str]:
+    """What commas part that stand in no brackets."""
+    items, depth = [""], 0
+    for letter in text:
+        depth += (letter == "[") - (letter == "]")
+        if letter == "," and depth == 0:
+            items.append("")
+        else:
+            items[-1] += letter
+    return [item.strip() for item in items]
 
 
 def _is_list(annotation: Any) -> bool:
