@@ -114,7 +114,7 @@ def test_a_run_that_was_stopped_time_and_again_goes_on_to_the_same_bits(
 
 
 @pytest.mark.parametrize("other", ["options", "images"])
-def test_passes_of_another_acquisition_or_other_options_are_passed_over(
+def test_passes_of_another_acquisition_or_other_options_are_refused_or_passed_over(
     recovery, tmp_path, capsys, monkeypatch, other
 ):
     scene = tmp_path / "scene"
@@ -128,8 +128,13 @@ def test_passes_of_another_acquisition_or_other_options_are_passed_over(
         (scene / "PAN.tif").touch()
         os.utime(scene / "PAN.tif", (1.0, 1.0))
     capsys.readouterr()
-    # a second one that is stopped begins anew
-    stopped_after(0, [*command, "--resume"], monkeypatch)
+    finished = (out / ".partial" / "stages" / "pass-0.stage.npz").read_bytes()
+    assert run([*command, "--resume"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("error:") == 1 and "--resume cannot go on from it" in said
+    assert (out / ".partial" / "stages" / "pass-0.stage.npz").read_bytes() == finished
+    # without the word it begins anew
+    stopped_after(0, command, monkeypatch)
     said = capsys.readouterr().err
     assert "pass-0.stage.npz is passed over, it is of other images, options or another version" in said
 

@@ -78,7 +78,7 @@ def georeference(
         ) as folder,
         progress() as report,
     ):
-        stages = finished_stages(out)
+        stages = finished_stages(out, refuse=resume and not overwrite)
         report(f"reading {file}")
         sequence = read_sequence(file)
         cost = ready_to_georeference(sequence, maps=not poses_only)
