@@ -233,6 +233,12 @@ class TestControlPointsAtOnePixel:
         assert said.startswith("row 3 of ") and "is at the pixel of row 1 of " in said
         assert "line 10, column 20 of 'a'" in said
 
+    def test_two_at_nearly_one_pixel_are_refused_whatever_their_ground(self, tmp_path):
+        said = message(tables.read_control_points, csv(tmp_path, self.ROWS + "9,9,9,1,b,10.0004,19.9996\n"))
+        assert said.startswith("row 3 of ") and "is at the pixel of row 2 of " in said
+        apart = self.ROWS + "9,9,9,1,b,10.002,20\n"
+        assert len(tables.read_control_points(csv(tmp_path, apart)).image) == 3
+
     def test_one_that_is_listed_and_in_the_table_too_is_refused(self, tmp_path):
         @dataclass
         class Entry:

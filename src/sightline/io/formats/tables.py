@@ -19,6 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from sightline.access import read_text
 from sightline.errors import FormatError, InputError, foreign_errors, reads
@@ -58,6 +59,8 @@ MOTION = (
 )
 SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observed") for axis in ANGLES))
 
+#: px; control points of an image that are nearer to each other are one: nobody measures as well.
+SAME_PIXEL = 1e-3
 #: Lines of the tallest window that a control point may be the mean of.
 MOST_LINES = 10_000.0
 #: Sigmas of a control point by their causes: px of the two pixel coordinates, m of each of the ground.
@@ -518,17 +521,20 @@ def read_control_points(path: Path, *, stereo: bool = False) -> ControlTable:
 
 def _each_once(images: Sequence[str], pixels: Array, table: Path | None, listed: int = 0) -> Array:
     """The pixels (N, 2) of control points, `listed` ones first, of which none stands twice in an image."""
-    first: dict[tuple[str, float, float], int] = {}
-    for row, place in enumerate(zip(images, *pixels.T.tolist(), strict=True)):
-        if first.setdefault(place, row) != row:
-            one, again = (
-                f"[[control_point]] {k + 1}" if k < listed else f"row {k - listed + 1} of {table}"
-                for k in (first[place], row)
-            )
-            raise FormatError(
-                f"{again} is at the pixel of {one}: line {place[1]:g}, column {place[2]:g} of {place[0]!r}; "
-                "it would count twice: keep one of them"
-            )
+    number = {image: k for k, image in enumerate(dict.fromkeys(images))}
+    places = (
+        np.column_stack([pixels, [number[image] for image in images]]) if len(images) else np.zeros((0, 3))
+    )
+    again = min(cKDTree(places).query_pairs(SAME_PIXEL), key=lambda pair: pair[::-1], default=None)
+    if again is not None:
+        one, other = (
+            f"[[control_point]] {k + 1}" if k < listed else f"row {k - listed + 1} of {table}" for k in again
+        )
+        line, column = pixels[again[1]]
+        raise FormatError(
+            f"{other} is at the pixel of {one}: line {line:g}, column {column:g} of {images[again[1]]!r}; "
+            "it would count twice: keep one of them"
+        )
     return pixels
 
 
