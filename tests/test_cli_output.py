@@ -407,6 +407,26 @@ def test_what_the_system_says_of_other_files_is_not_taken_for_the_output(tmp_pat
         raise refused
 
 
+def test_a_limit_of_the_size_of_files_is_said_and_the_file_by_its_final_name(tmp_path, monkeypatch):
+    import resource
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (40_000, 40_000))
+    words = (
+        r"out/PAN\.tif: cannot be written \(File too large\).*no file may be larger than 40.* kB .`ulimit -f`"
+    )
+    with pytest.raises(InputError, match=words), output_folder(tmp_path / "out") as staging:
+        raise OSError(errno.EFBIG, "File too large", str(staging / ".PAN.tif.draft.tif"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_that_could_keep_no_stage_leaves_none_and_speaks_of_none(tmp_path):
+    said = []
+    with pytest.raises(RuntimeError), output_folder(tmp_path / "out", resume=False, note=said.append):
+        stages_folder(tmp_path / "out").mkdir(parents=True)
+        raise RuntimeError
+    assert not said and not (tmp_path / "out").exists()
+
+
 def test_a_date_that_is_none_is_refused_before_the_block(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with pytest.raises(InputError, match="SOURCE_DATE_EPOCH is 'yesterday'"), output_folder(tmp_path / "out"):

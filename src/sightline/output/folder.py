@@ -36,6 +36,8 @@ _STAGING = re.compile(r"\.partial-[a-z0-9_]{8}")
 _MARK, _SCRATCH = "made-by-sightline", "scratch"
 #: Files of stages (`sightline.stages`), also one that was being written.
 _STAGE_FILE = re.compile(r"[A-Za-z0-9-]+\.stage\.npz(\.tmp)?")
+#: What becomes the file of a name once it is whole.
+_DRAFT = re.compile(r"\.(.+)\.draft\.[a-z]+")
 #: What the system says where there is no room.
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -160,10 +162,13 @@ def _stages(folder: Path, resume: bool | None, note: Note, *, overwrite: bool) -
         kept = f"finished stages wait in {place}; the same command goes on from them, also without --resume"
         corrected = f"finished stages wait in {place}; a corrected run goes on from those it has in common"
         if folder not in published:
+            finished = place.is_dir() and any(_STAGE_FILE.fullmatch(path.name) for path in place.iterdir())
+            if not finished:
+                _remove_stages(folder)
             if isinstance(error, KeyboardInterrupt):
-                left = kept if place.is_dir() else "no stage was finished"
+                left = kept if finished else "no stage was finished"
                 raise Interrupted(f"no result was written; {left}") from error
-            if place.is_dir():
+            if finished:
                 note(corrected if isinstance(error, SightlineError) else kept)
         raise
     _remove_stages(folder)
@@ -366,7 +371,20 @@ def _advice(error: OSError, path: Path) -> str:
         words += (
             f"; without the files of this run {size_words(shutil.disk_usage(place).free, 3)} are free there"
         )
+    limit = _largest_file()
+    if limit is not None:
+        return f"{words}; no file may be larger than {size_words(limit, 3)} (`ulimit -f`): raise that limit"
     return f"{words}; make room, or give a folder on another disk with --out"
+
+
+def _largest_file() -> int | None:
+    """Bytes that the shell allows a file of this process; None if there is no such limit."""
+    try:
+        from resource import RLIM_INFINITY, RLIMIT_FSIZE, getrlimit
+    except ImportError:  # not on every system
+        return None
+    limit = getrlimit(RLIMIT_FSIZE)[0]
+    return None if limit == RLIM_INFINITY else limit
 
 
 def _final_name(path: Path, folder: Path) -> Path:
@@ -374,4 +392,8 @@ def _final_name(path: Path, folder: Path) -> Path:
     parts = path.relative_to(folder).parts if path.is_relative_to(folder) else ()
     if not parts or not _STAGING.fullmatch(parts[0]):
         return path
-    return folder.joinpath(*parts[2:]) if parts[1:2] == (NEW,) else folder
+    if parts[1:2] != (NEW,):
+        return folder
+    final = folder.joinpath(*parts[2:])
+    draft = _DRAFT.fullmatch(final.name)
+    return final.with_name(draft[1]) if draft else final
