@@ -147,7 +147,9 @@ def recover_acquisition(
     if stages is not None:
         stages.depend(acquired.inputs)
     options = (
-        RecoverOptions(**acquired.matching, method=method, withhold=withhold) if not acquired.frames else None
+        RecoverOptions(**acquired.matching, method=method, withhold=withhold, asked=tuple(acquired.matching))
+        if not acquired.frames
+        else None
     )
     if options is None and method != "joint":
         raise InputError(

@@ -54,8 +54,10 @@ def test_rows_follow_a_short_lag(lag, step, window, grid_lines):
     found = suited(RecoverOptions(), bands, Plane())
     assert (found.step, found.window, found.grid_lines) == (step, (window, WIDTH), grid_lines)
     # what was asked for stays
-    asked = RecoverOptions(step=3)
-    assert suited(asked, bands, Plane()) is asked
+    for asked in (RecoverOptions(step=3), RecoverOptions(asked=("window",)), RecoverOptions(asked=("step",))):
+        assert suited(asked, bands, Plane()) is asked
+    first = suited(RecoverOptions(asked=("first_window",)), bands, Plane())
+    assert first.first_window == (10, 100) and first.window == found.window
 
 
 @pytest.mark.parametrize(

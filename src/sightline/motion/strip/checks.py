@@ -133,7 +133,7 @@ def _check_windows(strip: Strip, options: RecoverOptions) -> None:
     for key in ("first_window", "window", "search_px"):
         given = getattr(options, key)
         # windows of the usual width are narrowed to a narrow detector's line
-        narrowed = key != "search_px" and given[1] == getattr(usual, key)[1]
+        narrowed = key not in ("search_px", *options.asked) and given[1] == getattr(usual, key)[1]
         if given[0] > shape[0] or (given[1] > shape[1] and not narrowed):
             raise InputError(
                 f"`{key}` of [matching] is {list(given)}; {size}: at most [{shape[0]}, {shape[1]}] is allowed"

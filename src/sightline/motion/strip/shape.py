@@ -332,7 +332,11 @@ def windows_over_bends(options: RecoverOptions, bands: Sequence[Band]) -> Recove
     """
     height, width = options.window
     bent = [band.camera.columns for band in bands if band.shape == "polynomial"]
-    if not bent or width not in (RecoverOptions().window[1], window_columns(bands)):
+    if (
+        not bent
+        or "window" in options.asked
+        or width not in (RecoverOptions().window[1], window_columns(bands))
+    ):
         return options
     return replace(options, window=(height, min(width, max(min(bent) // FEW_COLUMNS, LEAST_WIDTH))))
 

@@ -95,6 +95,9 @@ class RecoverOptions:
     method : str
         ``"joint"``: the maximum a posteriori of all matches; ``"inverse"``, ``"wiener"``, ``"polynomial"`` or
         ``"kalman"``: S1's own estimators (claim 6), from the angular differences of its step b.
+    asked : tuple of str
+        Names of options that stay as they are also where they are the usual ones: windows, rows and nodes
+        otherwise follow the bands.
     """
 
     first_window: tuple[int, int] = (10, 100)
@@ -112,6 +115,11 @@ class RecoverOptions:
     pairs: tuple[tuple[str, str], ...] = ()
     withhold: tuple[tuple[str, str], ...] = ()
     method: str = "joint"
+    asked: tuple[str, ...] = ()
+
+    def own(self, name: str) -> bool:
+        """Whether an option was asked for."""
+        return name in self.asked or getattr(self, name) != getattr(RecoverOptions(), name)
 
     def __post_init__(self) -> None:
         """Refuse an unknown word."""
@@ -234,12 +242,11 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
     lines, nodes are as far apart as on these at most: windows of such lines average what lies between.
     """
     usual = RecoverOptions()
-    for key in ("window", "step", "grid_lines"):
-        if getattr(options, key) != getattr(usual, key):
-            return options
+    if any(map(options.own, ("window", "step", "grid_lines"))):
+        return options
     width = window_columns(bands)
     first = options.first_window
-    if first == usual.first_window:
+    if not options.own("first_window"):
         first = (first[0], width)
     options = replace(options, first_window=first, window=(usual.window[0], width))
     cameras = [band.camera for band in bands]
