@@ -62,6 +62,35 @@ def test_one_image_given_as_two_is_refused(strip):
     check_images(of(ArrayImage(np.full(SHAPE, 7.0))))
 
 
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("gain", [1.0, 0.37, 2.6, -0.8])
+def test_one_image_times_a_gain_given_as_two_is_refused(strip, gain, whole):
+    raw = np.random.default_rng(5).normal(900.0, 60.0, SHAPE)
+    raw = np.rint(raw) if whole else raw.astype(np.float32)
+
+    def of(other):
+        other = np.rint(other) if whole else other.astype(np.float32)
+        images = ArrayImage(raw), ArrayImage(other)
+        both = zip(strip.bands, images, strict=True)
+        return replace(strip, bands=tuple(replace(one, image=image) for one, image in both))
+
+    with pytest.raises(
+        InputError, match=r"'band 1' is that of 'band 0' times -?[\d.]+ plus .*, pixel for pixel"
+    ):
+        check_images(of(gain * raw + 31.4))
+    # a single grey value of noise tells two images apart, and so does one other pixel
+    check_images(of(gain * raw + np.random.default_rng(6).standard_normal(SHAPE)))
+    marked = gain * raw + 31.4
+    marked[57, 13] += 9.0
+    check_images(of(marked))
+
+
+def test_images_of_few_grey_values_may_agree(strip):
+    few = np.random.default_rng(5).integers(0, 3, SHAPE).astype(np.float64)
+    both = zip(strip.bands, (ArrayImage(few), ArrayImage(2.0 * few)), strict=True)
+    check_images(replace(strip, bands=tuple(replace(one, image=image) for one, image in both)))
+
+
 def test_weights_that_no_band_predicts_are_refused(strip):
     predicted = RecoverOptions(weighting="predicted")
     assert refused(strip, predicted).startswith('`weighting` of [matching] is "predicted", but no band says')

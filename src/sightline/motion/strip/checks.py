@@ -6,8 +6,10 @@ Not here: what single keys may hold (``io/acquisition/schema.py``), what was fou
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
@@ -21,6 +23,8 @@ from sightline.motion.sensors import AttitudeSensor
 from sightline.motion.strip.hyper import FEWEST_ROWS, KnownContent
 from sightline.motion.strip.strip import RecoverOptions, Strip
 
+Array = NDArray[Any]
+
 #: Tones nearer than this share of the lowest frequency that a strip holds are one.
 SAME_TONE = 0.1
 #: Windows of the first pass that must find their ground in another image.
@@ -29,6 +33,8 @@ FEWEST_WINDOWS = 20
 ROWS_ASKED = 200
 #: Lines that two images must have alike to be compared whole, and lines that are then compared at a time.
 LINES_COMPARED, LINES_AT_ONCE = 9, 512
+#: Pixels that must be seen by two images to be compared, and how many roundings they must vary by (1 sigma).
+FEWEST_COMPARED, DISTINCT = 100, 10.0
 #: rad; angles of the motion are small: control points further from where the cameras see them are mistakes.
 FARTHEST = 0.1
 
@@ -61,20 +67,70 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
 
 
 def check_images(strip: Strip) -> None:
-    """InputError where two images that show something are the same."""
-    known: dict[tuple[tuple[int, int], bytes], Band] = {}
+    """InputError where two images that show something are the same, or one is another times a gain."""
+    known: list[tuple[Band, Array]] = []
     for band in strip.bands:
         lines, columns = band.image.shape
         rows = np.unique(np.linspace(0, lines - 1, LINES_COMPARED).astype(int)).tolist()
         seen = np.concatenate([band.image.read((row, row + 1), (0, columns)) for row in rows])
         if (seen == seen.flat[0]).all() or not np.isfinite(seen).any():
             continue
-        other = known.setdefault(((lines, columns), seen.tobytes()), band)
-        if other is not band and _same(other.image, band.image):
-            raise InputError(
-                f"the images of {other.name!r} and {band.name!r} are the same, pixel for pixel, which no two "
-                "detector lines see; give the image of each"
-            )
+        for other, there in known:
+            if other.image.shape != band.image.shape:
+                continue
+            if seen.tobytes() == there.tobytes() and _same(other.image, band.image):
+                raise InputError(
+                    f"the images of {other.name!r} and {band.name!r} are the same, pixel for pixel, which "
+                    "no two detector lines see; give the image of each"
+                )
+            law = _law_of(there, seen)
+            if law is not None and _follows(other.image, band.image, law):
+                raise InputError(
+                    f"the image of {band.name!r} is that of {other.name!r} times {law[0]:.6g} plus "
+                    f"{law[1]:.6g}, pixel for pixel, which no two detector lines see; give the image of each"
+                )
+        known.append((band, seen))
+
+
+def _law_of(one: Array, other: Array) -> tuple[float, float] | None:
+    """Gain and offset by which all pixels of `other` follow from `one`, as far as both are rounded; or None.
+
+    Images that vary by few of their steps may agree by chance, and have none.
+    """
+    both = np.isfinite(one) & np.isfinite(other)
+    a, b = one[both].astype(np.float64), other[both].astype(np.float64)
+    if a.size < FEWEST_COMPARED or a.std() == 0.0:
+        return None
+    gain = float(np.mean((a - a.mean()) * (b - b.mean())) / a.var())
+    law = gain, float(b.mean() - gain * a.mean())
+    most = _rounding(a, b, gain)
+    return law if b.std() > DISTINCT * most and _within(a, b, law, most) else None
+
+
+def _rounding(a: Array, b: Array, gain: float) -> float:
+    """How far apart rounding alone puts `b` and `a` times a gain: half a step of each, and a fit's error."""
+    steps = [
+        1.0 if (x == np.rint(x)).all() else 4.0 * float(np.finfo(np.float32).eps * np.abs(x).max())
+        for x in (a, b)
+    ]
+    return 0.6 * (abs(gain) * steps[0] + steps[1])
+
+
+def _within(a: Array, b: Array, law: tuple[float, float], most: float) -> bool:
+    return bool((np.abs(law[0] * a + law[1] - b) <= most).all())
+
+
+def _follows(one: ImageSource, other: ImageSource, law: tuple[float, float]) -> bool:
+    """Whether all pixels of an image follow from those of another."""
+    lines, columns = one.shape
+    for some in slices(lines, LINES_AT_ONCE):
+        part = (some.start, some.stop), (0, columns)
+        a, b = (image.read(*part).astype(np.float64) for image in (one, other))
+        both = np.isfinite(a) & np.isfinite(b)
+        a, b = a[both], b[both]
+        if a.size and not _within(a, b, law, _rounding(a, b, law[0])):
+            return False
+    return True
 
 
 def _same(one: ImageSource, other: ImageSource) -> bool:
