@@ -30,6 +30,7 @@ SIZE = {"lines": 2400, "columns": 700}
 TWO = {
     "lines": 1400, "names": ("PAN", "B1"), "lags": (0.0, 0.15), "gains": (1.0, 0.85), "gammas": (1.0, 0.9),
 }  # fmt: skip
+NARROW = {"lines": 1000, "columns": 150}
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,8 @@ CASES = (
     Case("step, gyro", {"motion": "step"}, gyro=True),
     Case("clouds over 30 %", {"cloud_cover": 0.3}),
     Case("clouds over 30 %, 300 columns", {"cloud_cover": 0.3, "columns": 300}, strips=2),
+    # in rows of three windows, which are all cloud or none
+    Case("clouds wall to wall, 150 columns", {**NARROW, "cloud_banks": ((350, 100),)}, strips=6),
     Case("two bands, 47 Hz beside 7 / lag", {**TWO, "columns": 300}, strips=6),
     Case("two bands, 700 columns", TWO, strips=6),
     Case("no texture for 60 lines", {"blank": ((1200, 60),)}, gap=(1200, 1260)),

@@ -248,6 +248,20 @@ class TestBrightness:
         # a window of ground that happens to be beyond 2.5 sigma (14 % to be one of 24) costs five rows of one
         assert not got[cloudy].any() and (got[86:98][:, [0, 11]] > 0.0).sum() >= 24 - 5
 
+    def test_a_bank_over_rows_too_short_for_a_line_is_left_out(self):
+        star = plain_star(ROWS, 3, 1, SIGMA)
+        white = np.zeros(star.shape, dtype=bool)
+        white[60:80] = True
+        brightness = np.where(white, 300.0, 100.0) + 20.0 * np.random.default_rng(28).standard_normal(
+            star.shape
+        )
+        post = noise(star, 29)
+        star = replace(star, brightness=brightness.ravel())
+        got = ground_weights([star], [post.reshape(-1, 1, 2)])[0].reshape(star.shape)
+        assert not got[white].any()
+        # ABOUT is twenty rows, where 0.6 % of the ground is as bright
+        assert got[:38].all() and got[102:].all() and got[~white].mean() > 0.95
+
     def test_windows_of_unknown_brightness_are_judged_by_their_departure(self):
         star, post, cloudy = self.strip(24)
         brightness = star.brightness.reshape(star.shape).copy()

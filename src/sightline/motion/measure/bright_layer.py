@@ -4,7 +4,9 @@ Clouds are bright, and so are some fields. Whether brightness tells of foreign m
 strip: within a row of windows motion can only shift and tilt, so that what bright windows depart by from
 dark ones of their row is no motion, whichever of the two is the ground. A row that is all cloud shows no
 such difference; there flat white, in which nothing can be matched, gives the cloud away, and bright windows
-about it are not believed. Both cost bright ground near clouds, and nothing where there are none.
+about it are not believed. Nor is white of which rows do not say that it lies as low as the ground beside it:
+in narrow strips, whose rows are all cloud or none, the motion would take the cloud's shift. All of it costs
+bright ground near clouds, and nothing where there are none.
 
 Not here: what the departures of single windows tell (``consensus.py``).
 """
@@ -39,6 +41,8 @@ LEAST_CLOUD = 300.0
 USUAL_GROUND = 2.5
 #: What is brighter than its median by so many is no ground of the usual kind: white.
 WHITE = 5.0
+#: White is ground where rows say, to so many sigmas, that it departs by less than clouds do.
+VOUCHED = 2.0
 #: Flat white lies where white without matches covers more than this share of so many lines to either side;
 #: about it, edges of the cloud may be so many lines away.
 MOSTLY_WHITE, AREA, ABOUT = 0.5, 26.0, 80.0
@@ -68,7 +72,12 @@ class RowShifts:
 
 
 def bright_windows(
-    shifts: RowShifts, brightness: Array, matched: Flags, step: float, per_metre: float
+    shifts: RowShifts,
+    brightness: Array,
+    matched: Flags,
+    step: float,
+    per_metre: float,
+    elsewhere: Array | None = None,
 ) -> tuple[Flags, bool]:
     """Windows (rows, blocks) that are taken for cloud because they, or those next to them, are so bright.
 
@@ -85,17 +94,22 @@ def bright_windows(
         Lines between rows.
     per_metre : float
         px by which a target higher by a metre is shifted.
+    elsewhere : (M,), optional
+        Brightness of windows of the whole strip, where these are of a part of it; NaN where unknown.
     """
     known = np.isfinite(brightness)
     seen = shifts.seen & known
     out = np.zeros(brightness.shape, dtype=bool)
-    if seen.sum() < 2 * LEAST_WINDOWS:
+    ground = brightness[seen] if elsewhere is None else _darker(elsewhere[np.isfinite(elsewhere)])
+    if len(ground) < 2 * LEAST_WINDOWS or not seen.any():
         return out, False
-    ground, brightness = brightness[seen], np.where(known, brightness, -np.inf)
+    brightness = np.where(known, brightness, -np.inf)
     cloud = _departing_brightness(shifts, brightness, seen, step, LEAST_CLOUD * per_metre)
     if cloud is not None:
         out |= brightness > _brightest_ground(ground, cloud)
     white = _flat_white(brightness, ground, matched, step)
+    if cloud is None:
+        white |= _white_not_vouched_for(shifts, brightness, ground, seen, LEAST_CLOUD * per_metre)
     if white.any():
         about = sum_beside(sum_along(white.astype(float), _rows(ABOUT, step))) > 0
         out |= about & (brightness > _brightest_ground(ground, float(np.median(brightness[white]))))
@@ -118,17 +132,13 @@ def _departing_brightness(
     low, high = np.quantile(brightness[seen], 0.05), brightness[seen].max()
     best, found = CERTAIN, None
     for component in range(2):
-        weight = np.where(seen, 1.0 / shifts.variance[..., component], 0.0)
-        value = _without_line(shifts.value[..., component], weight, shifts.x)
-        sigma = math.sqrt(float(np.median(shifts.variance[seen, component])))
-        least = max(MATERIAL * sigma, least_px)
+        least = _least_departure(shifts, component, seen, least_px)
         for split in np.linspace(low, high, SPLITS, endpoint=False):
             bright = seen & (brightness > split)
             if not LEAST_WINDOWS <= bright.sum() <= seen.sum() - LEAST_WINDOWS:
                 continue
-            jump = _without_line(bright.astype(float), weight, shifts.x)
-            size = np.add.reduceat((weight * jump**2).sum(axis=1), first)
-            moved = np.add.reduceat((weight * jump * value).sum(axis=1), first)
+            by_row = _from_others_of_row(shifts, component, seen, bright)
+            moved, size = (np.add.reduceat(sums, first) for sums in by_row)
             if size.sum() ** 2 <= LEAST_STRETCHES * (size**2).sum():
                 continue
             without_one = (moved.sum() - moved) / (size.sum() - size)
@@ -137,6 +147,37 @@ def _departing_brightness(
             if difference > least and difference > best * error:
                 best, found = difference / max(error, 1e-30), float(brightness[bright].mean())
     return found
+
+
+def _white_not_vouched_for(
+    shifts: RowShifts, brightness: Array, ground: Array, seen: Flags, least_px: float
+) -> Flags:
+    """Windows far brighter than ground, unless rows say that they depart by less than clouds do."""
+    median, spread = _median_and_spread(ground)
+    white = seen & (brightness > median + WHITE * spread)
+    for component in range(2):
+        moved, size = (sums.sum() for sums in _from_others_of_row(shifts, component, seen, white))
+        least = _least_departure(shifts, component, seen, least_px)
+        if abs(moved) + VOUCHED * math.sqrt(size) >= least * size:
+            return white
+    return np.zeros_like(white)
+
+
+def _least_departure(shifts: RowShifts, component: int, seen: Flags, least_px: float) -> float:
+    """px by which clouds depart at least: `least_px`, or by how much ground differs from ground."""
+    sigma = math.sqrt(float(np.median(shifts.variance[seen, component])))
+    return max(MATERIAL * sigma, least_px)
+
+
+def _from_others_of_row(shifts: RowShifts, component: int, seen: Flags, bright: Flags) -> tuple[Array, Array]:
+    """What windows `bright` depart by from others of their row: information (rows,) times shift, and itself.
+
+    With level and tilt of each row left out.
+    """
+    weight = np.where(seen, 1.0 / shifts.variance[..., component], 0.0)
+    value = _without_line(shifts.value[..., component], weight, shifts.x)
+    jump = _without_line(bright.astype(float), weight, shifts.x)
+    return (weight * jump * value).sum(axis=1), (weight * jump**2).sum(axis=1)
 
 
 def _flat_white(brightness: Array, ground: Array, matched: Flags, step: float) -> Flags:
@@ -167,6 +208,15 @@ def _brightest_ground(brightness: Array, cloud: float) -> float:
         return halfway
     median, spread = _median_and_spread(dark)
     return min(halfway, median + USUAL_GROUND * spread)
+
+
+def _darker(brightness: Array) -> Array:
+    """What may be ground, of windows up to two thirds of which are cloud, by the darkest quarter."""
+    if len(brightness) == 0:
+        return brightness
+    darkest, dark = np.quantile(brightness, (0.05, 0.25))  # 1.64 and .67 sigmas below the middle
+    spread = (dark - darkest) / 0.97
+    return brightness[brightness <= dark + (0.67 + WHITE) * spread]
 
 
 def _median_and_spread(values: Array) -> tuple[float, float]:

@@ -108,7 +108,7 @@ def _pair_weights(star: Star, foreign: Array) -> Array:
 def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> Array:
     """Squared size (rows, blocks) of each window's worst departure, at least `least`; infinite if unseen."""
     rows, blocks = star.shape
-    if blocks < MIN_BLOCKS or rows < 2:
+    if rows < 2:
         return least
     parts, halo, out = -(-rows // MOST_ROWS), HALO * _reaches(star)[-1], np.empty(least.shape)
     for first, last in pairwise(np.linspace(0, rows, parts + 1).round().astype(int).tolist()):
@@ -138,8 +138,13 @@ def _foreign_near(star: Star, post_px: Array, least: Array, relief_sigma: float)
         # brightness has judged these: the rest is judged by itself
         shifts = RowShifts(shift.x, shift.value, shift.variance + shift.lasting, shift.seen)
         brightness = star.brightness.reshape(star.shape)
-        bright, tells = bright_windows(shifts, brightness, matched, _line_step(star), per_metre)
+        bright, tells = bright_windows(
+            shifts, brightness, matched, _line_step(star), per_metre, star.brightness_elsewhere
+        )
         shift = replace(shift, seen=shift.seen & ~bright, lent=0 if tells else shift.lent)
+    if blocks < MIN_BLOCKS:
+        # a line through so few passes near all of them: no row tells more
+        return np.where(seen & ~shift.seen, np.inf, least)
     worst = _worst_departures(shift, reaches, up, least)
     undermined = _undermined(shift, worst, reaches, up)
     # where hardly any window saw the ground, nothing vouches for those that seem to
@@ -173,7 +178,7 @@ def _on_same_ground(star: Star, first: Star, foreign: Array) -> Array:
     where `first` looked and saw none.
     """
     least = np.zeros(len(star.t_hub))
-    if first.hub not in star.images or first.shape[1] < MIN_BLOCKS or first.shape[0] < 2:
+    if first.hub not in star.images or first.shape[0] < 2:
         return least.reshape(star.shape)
     rows, blocks = first.shape
     t = first.t_hub.reshape(rows, blocks)[:, 0]

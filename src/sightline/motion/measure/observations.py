@@ -71,6 +71,8 @@ class Star:
         Robust weight of each match in [0, 1].
     brightness : (G,), optional
         Of the brightest part of each window in the hub, in units of the image.
+    brightness_elsewhere : (M,), optional
+        The same of windows all over the hub, where those of the star show little of it.
     window : (lines, columns), optional
         Size of the windows, px.
     blur_px : (G, K, 2), optional
@@ -97,6 +99,7 @@ class Star:
     correlation: Array
     weight: Array
     brightness: Array | None = None
+    brightness_elsewhere: Array | None = None
     window: tuple[int, int] | None = None
     stretch: float = 0.0
     coarseness: float = 1.0
@@ -144,7 +147,7 @@ class Star:
             one.name: value[own]
             for one in fields(self)
             if isinstance(value := getattr(self, one.name), np.ndarray)
-            and one.name not in ("correlation", "uneven_at")
+            and one.name not in ("correlation", "uneven_at", "brightness_elsewhere")
         }
         return replace(self, shape=(some.stop - some.start, blocks), **windows)
 

@@ -69,6 +69,9 @@ GRADIENT = gradient_filter()
 #: Lines squared by which the derivative along lines spreads what a low window averages over: tones of 30 to
 #: 120 Hz in pitch are seen through windows of 2 (3) lines as through 2.7 (3.4).
 NEIGHBOURS = 3.3
+#: A star whose windows stand along less than this share of its hub looks at so many rows all over it to learn
+#: how bright ground is.
+MOST_SHOWN, SAMPLED_ROWS = 0.5, 64
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
 ENOUGH = 100
 
@@ -289,6 +292,7 @@ def match_star(
         correlation=shared_image_correlation(k),
         weight=weight,
         brightness=_brightness(before, images[hub], hub, grid),
+        brightness_elsewhere=_brightness_elsewhere(before, images[hub], hub, grid, plan),
         window=grid.window,
     )
     return StarRecord(star, status, score, tuple(partner.whitening for partner in found))
@@ -511,6 +515,22 @@ def _brightness(before: StarRecord | None, image: ImageSource, hub: int, grid: W
     if before is not None and before.star.brightness is not None and _same_windows(before, hub, grid):
         return before.star.brightness
     return scratch_copy(brightest_parts(image, grid))
+
+
+def _brightness_elsewhere(
+    before: StarRecord | None, image: ImageSource, hub: int, grid: WindowGrid, plan: MatchingPlan
+) -> Array | None:
+    """(M,) brightness of windows all over the hub; None where those of the grid show most of it.
+
+    The ends of a strip, which stars of their own see, may be all cloud: what ground is like the rest tells.
+    """
+    if np.ptp(grid.lines) > MOST_SHOWN * image.shape[0]:
+        return None
+    if before is not None and before.star.brightness_elsewhere is not None and before.star.hub == hub:
+        return before.star.brightness_elsewhere
+    everywhere = plan.grid(image.shape)
+    some = np.linspace(0, len(everywhere.lines) - 1, min(SAMPLED_ROWS, len(everywhere.lines))).astype(int)
+    return brightest_parts(image, replace(everywhere, lines=everywhere.lines[some]))
 
 
 def _narrow_whitening(
