@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import dataclass
 
 import numpy as np
@@ -238,6 +239,16 @@ class TestControlPointsAtOnePixel:
         assert said.startswith("row 3 of ") and "is at the pixel of row 2 of " in said
         apart = self.ROWS + "9,9,9,1,b,10.002,20\n"
         assert len(tables.read_control_points(csv(tmp_path, apart)).image) == 3
+
+    def test_a_table_of_one_pixel_is_refused_without_all_its_pairs(self, tmp_path):
+        table = csv(tmp_path, self.ROWS + 3000 * "9,9,9,1,a,0,0\n")
+        tracemalloc.start()
+        try:
+            said = message(tables.read_control_points, table)
+            assert tracemalloc.get_traced_memory()[1] < 100e6  # all pairs are half a gigabyte
+        finally:
+            tracemalloc.stop()
+        assert said.startswith("row 4 of ") and "is at the pixel of row 3 of " in said
 
     def test_one_that_is_listed_and_in_the_table_too_is_refused(self, tmp_path):
         @dataclass

@@ -525,7 +525,10 @@ def _each_once(images: Sequence[str], pixels: Array, table: Path | None, listed:
     places = (
         np.column_stack([pixels, [number[image] for image in images]]) if len(images) else np.zeros((0, 3))
     )
-    again = min(cKDTree(places).query_pairs(SAME_PIXEL), key=lambda pair: pair[::-1], default=None)
+    tree = cKDTree(places)
+    # one after the other: all pairs of a table of one pixel are more than memory holds
+    pairs = ((min(tree.query_ball_point(place, SAME_PIXEL)), row) for row, place in enumerate(places))
+    again = next((pair for pair in pairs if pair[0] < pair[1]), None)
     if again is not None:
         one, other = (
             f"[[control_point]] {k + 1}" if k < listed else f"row {k - listed + 1} of {table}" for k in again
