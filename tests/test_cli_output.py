@@ -17,7 +17,7 @@ import pytest
 
 from sightline.cli.output import output_folder, stages_folder
 from sightline.errors import FormatError, InputError
-from sightline.inputs import note, will_write
+from sightline.inputs import apart, note, will_write
 from sightline.kinds import open as kinds_known
 from sightline.kinds.kind import earlier
 from sightline.output import folder as output
@@ -295,6 +295,15 @@ def test_names_that_only_the_input_tells_are_refused_before_the_work_too(tmp_pat
         will_write(["PAN.tif"])
         raise AssertionError("the work went on")
     assert content(tmp_path) == {"PAN.tif": "raw"}
+
+
+def test_what_a_job_will_write_is_not_beside_the_folder_of_its_batch(tmp_path):
+    write(tmp_path, {"PAN.tif": "raw"})
+    with apart(tmp_path / "job"), output_folder(tmp_path / "job") as staging:
+        note(tmp_path / "PAN.tif")
+        will_write(["PAN.tif"])
+        write(staging, {"PAN.tif": "registered"})
+    assert content(tmp_path) == {"PAN.tif": "raw", "job": None, "job/PAN.tif": "registered"}
 
 
 # ---- folders that cannot be written

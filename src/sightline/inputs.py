@@ -127,8 +127,8 @@ def will_write(names: Iterable[str]) -> None:
     InputError
         If a file of these names was read; later, where one is read.
     """
-    names = list(names)
-    for seen in _watching:
+    # a batch around it has another folder
+    for seen in _watching[-1:]:
         seen.replace(names)
 
 
