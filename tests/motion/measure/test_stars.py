@@ -28,8 +28,8 @@ from sightline.motion.measure.laid_strips import (
 )
 from sightline.motion.measure.plan import END, MatchingPlan, hub_windows
 from sightline.motion.measure.predict import turned
-from sightline.motion.measure.stars import StarRecord, found_wrong, match_star
-from sightline.motion.measure.windows import window_grid
+from sightline.motion.measure.stars import StarRecord, _brightness_elsewhere, found_wrong, match_star
+from sightline.motion.measure.windows import brightest_parts, window_grid
 from sightline.motion.statics import band_statics
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -56,6 +56,18 @@ def record(images, cameras):
     statics = band_statics(given_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
     grid = window_grid(SHAPE, PLAN.window, PLAN.step)
     return match_star(images, cameras, Plane(), 0, (1,), grid, statics, PLAN)
+
+
+def test_windows_elsewhere_are_as_large_as_those_of_the_star(images, record):
+    end = window_grid(SHAPE, (4, 100), 4)
+    end = replace(end, lines=end.lines[:20])
+    want = brightest_parts(images[0], window_grid(SHAPE, (4, 100), 4))
+    # a pass before that searched with taller windows
+    other = replace(record, star=replace(record.star, brightness_elsewhere=np.full(9, 7.0)))
+    assert_allclose(_brightness_elsewhere(other, images[0], end, 4), want)
+    again = replace(other, star=replace(other.star, window=(4, 100)))
+    assert _brightness_elsewhere(again, images[0], end, 4) is again.star.brightness_elsewhere
+    assert _brightness_elsewhere(None, images[0], window_grid(SHAPE, (4, 100), 4), 4) is None
 
 
 class TestHubs:

@@ -50,6 +50,7 @@ from sightline.motion.measure.windows import (
     exposure_times,
     field_positions,
     predict_windows,
+    window_grid,
 )
 from sightline.writing import let_go, scratch_array, scratch_copy
 
@@ -292,7 +293,7 @@ def match_star(
         correlation=shared_image_correlation(k),
         weight=weight,
         brightness=_brightness(before, images[hub], hub, grid),
-        brightness_elsewhere=_brightness_elsewhere(before, images[hub], hub, grid, plan),
+        brightness_elsewhere=_brightness_elsewhere(before, images[hub], grid, strips.plan.step),
         window=grid.window,
     )
     return StarRecord(star, status, score, tuple(partner.whitening for partner in found))
@@ -518,17 +519,17 @@ def _brightness(before: StarRecord | None, image: ImageSource, hub: int, grid: W
 
 
 def _brightness_elsewhere(
-    before: StarRecord | None, image: ImageSource, hub: int, grid: WindowGrid, plan: MatchingPlan
+    before: StarRecord | None, image: ImageSource, grid: WindowGrid, step: int
 ) -> Array | None:
-    """(M,) brightness of windows all over the hub; None where those of the grid show most of it.
+    """(M,) brightness of such windows all over the hub; None where those of the grid show most of it.
 
     The ends of a strip, which stars of their own see, may be all cloud: what ground is like the rest tells.
     """
     if np.ptp(grid.lines) > MOST_SHOWN * image.shape[0]:
         return None
-    if before is not None and before.star.brightness_elsewhere is not None and before.star.hub == hub:
+    if before is not None and before.star.window == grid.window:
         return before.star.brightness_elsewhere
-    everywhere = plan.grid(image.shape)
+    everywhere = window_grid(image.shape, grid.window, step)
     some = np.linspace(0, len(everywhere.lines) - 1, min(SAMPLED_ROWS, len(everywhere.lines))).astype(int)
     return brightest_parts(image, replace(everywhere, lines=everywhere.lines[some]))
 
