@@ -76,6 +76,7 @@ def test_lists_of_lists_need_no_more_than_lists(scene):
     )
     for wrong in ("blank=[[100, 5]", "blank=[100,50", "lags=0,.15]"):
         assert said(wrong, kind="line-of-sight").startswith(f"--set {wrong}: a bracket is not closed, or not")
+    assert read_recipe("stereo", None, ["dem_file=old[1.tif", "relief=dem"]).options.dem_file == "old[1.tif"
     message = said("cloud_banks=100,50", kind="line-of-sight")
     assert "cloud_banks[1] = 100 is not allowed: a list is, as cloud_banks = [[1, 2], [3, 4]]" in message
 

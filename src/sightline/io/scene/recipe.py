@@ -253,7 +253,9 @@ def _parsed(model: type[SceneFile], settings: Sequence[str]) -> dict[str, Any]:
         if key in ("kind", "case", "seed"):
             there = "the word after `sightline simulate`" if key == "kind" else f"--{key}"
             raise InputError(f"--set {setting}: {key} is given by {there}")
-        if text.count("[") != text.count("]"):
+        # the name of a file may hold one
+        listed = text.lstrip().startswith("[") or text.rstrip().endswith("]")
+        if listed and text.count("[") != text.count("]"):
             raise InputError(
                 f"--set {setting}: a bracket is not closed, or not opened; pair them as [[1, 2], [3, 4]]"
             )
