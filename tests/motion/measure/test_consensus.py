@@ -262,6 +262,15 @@ class TestBrightness:
         # ABOUT is twenty rows, where 0.6 % of the ground is as bright
         assert got[:38].all() and got[102:].all() and got[~white].mean() > 0.95
 
+    def test_few_windows_that_were_chosen_in_rows_too_short_for_a_line_are_kept(self):
+        star = plain_star(ROWS, 3, 1, SIGMA)
+        post = noise(star, 30).reshape(-1, 1, 2)
+        chosen = np.zeros(len(post), dtype=bool)
+        chosen[::17] = True  # of what lies about them 6 % was matched
+        post[~chosen] = np.nan
+        star = replace(star, residual_px=np.where(chosen[:, None, None], star.residual_px, np.nan))
+        assert ground_weights([star], [post])[0][chosen].all()
+
     def test_windows_of_unknown_brightness_are_judged_by_their_departure(self):
         star, post, cloudy = self.strip(24)
         brightness = star.brightness.reshape(star.shape).copy()

@@ -5,8 +5,9 @@ strip: within a row of windows motion can only shift and tilt, so that what brig
 dark ones of their row is no motion, whichever of the two is the ground. A row that is all cloud shows no
 such difference; there flat white, in which nothing can be matched, gives the cloud away, and bright windows
 about it are not believed. Nor is white of which rows do not say that it lies as low as the ground beside it:
-in narrow strips, whose rows are all cloud or none, the motion would take the cloud's shift. All of it costs
-bright ground near clouds, and nothing where there are none.
+in narrow strips, whose rows are all cloud or none, the motion would take the cloud's shift. The first two
+cost bright ground near clouds, and nothing where there are none; the last costs white ground of which few
+rows show anything darker beside it.
 
 Not here: what the departures of single windows tell (``consensus.py``).
 """

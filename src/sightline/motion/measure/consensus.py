@@ -134,6 +134,7 @@ def _foreign_near(star: Star, post_px: Array, least: Array, relief_sigma: float)
     shift = replace(shift, lasting=(by_height * relief_sigma) ** 2)
     per_metre = float(np.hypot(*by_height))
     up = by_height / max(per_metre, 1e-30)
+    bright = np.zeros(star.shape, dtype=bool)
     if star.brightness is not None:
         # brightness has judged these: the rest is judged by itself
         shifts = RowShifts(shift.x, shift.value, shift.variance + shift.lasting, shift.seen)
@@ -144,7 +145,7 @@ def _foreign_near(star: Star, post_px: Array, least: Array, relief_sigma: float)
         shift = replace(shift, seen=shift.seen & ~bright, lent=0 if tells else shift.lent)
     if blocks < MIN_BLOCKS:
         # a line through so few passes near all of them: no row tells more
-        return np.where(seen & ~shift.seen, np.inf, least)
+        return np.where(seen & bright, np.inf, least)
     worst = _worst_departures(shift, reaches, up, least)
     undermined = _undermined(shift, worst, reaches, up)
     # where hardly any window saw the ground, nothing vouches for those that seem to
