@@ -9,6 +9,8 @@ import tomllib
 import pytest
 
 from sightline.cli.main import run
+from sightline.io.scene.recipe import read_recipe
+from sightline.io.scene.schema import KINDS
 
 #: Of each family a small scene, with keys of many kinds.
 SCENES = {
@@ -77,3 +79,27 @@ def test_tdi_out_of_step_with_the_ground_is_said(tmp_path, capsys):
     assert "out of step with the ground by 1.24 px over its 32 stages" in capsys.readouterr().err
     assert run([*command, "--set", "line_period=4.8e-4", "--set", "ifov=4.8e-6"]) == 0
     assert "out of step" not in capsys.readouterr().err
+
+
+def test_a_scene_onto_the_folder_of_what_it_is_made_of_is_refused(tmp_path, capsys):
+    size = ["--lines", "420", "--columns", "150"]
+    command = ["simulate", "line-of-sight", "--out", str(tmp_path), "--overwrite"]
+    table = "column,stages\n" + "".join(f"{k},16\n" for k in range(150))
+    (tmp_path / "truth.csv").write_text(table)
+    assert run([*command, *size, "--set", f"stages={tmp_path / 'truth.csv'}"]) == 2
+    assert "was read for the result and would be replaced" in capsys.readouterr().err
+    assert (tmp_path / "truth.csv").read_text() == table
+    scene = tmp_path / "scene.toml"
+    scene.write_text('kind = "line-of-sight"\nlines = 420\ncolumns = 150  # as ours\n')
+    assert run([*command, "--scene", str(scene)]) == 2
+    assert "scene.toml: was read for the result and would be replaced" in capsys.readouterr().err
+    assert "as ours" in scene.read_text()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_help_names_keys_that_the_scenes_have(kind, capsys):
+    assert run(["simulate", kind, "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    example = text.split("Any key of SCENE.toml, such as ")[1].split("; may")[0]
+    for setting in example.split(" or "):
+        read_recipe(kind, None, [setting])

@@ -92,15 +92,6 @@ SceneFlag = Annotated[
         help="Keys in place of the case's options, as the scene.toml that every scene has beside it.",
     ),
 ]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Any key of SCENE.toml, such as snr=40 or missing=3,20-40; may be repeated. `sightline schema "
-        "scene` describes them.",
-    ),
-]
 SeedFlag = Annotated[
     int | None,
     typer.Option(
@@ -121,6 +112,17 @@ def _size(flag: str, text: str, default: str = _CASE_OWN) -> Any:
     return typer.Option(flag, help=text, show_default=default)
 
 
+def _settings(example: str) -> Any:
+    """The option --set, with keys that scenes of the kind have."""
+    return typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help=f"Any key of SCENE.toml, such as {example}; may be repeated. `sightline schema scene` "
+        "describes them.",
+    )
+
+
+Settings: TypeAlias = list[str] | None
 Count: TypeAlias = int | None
 Word: TypeAlias = str | None
 
@@ -151,7 +153,7 @@ def line_of_sight(
     columns: Annotated[Count, _size("--columns", "Of every band.", _COLUMNS)] = None,
     frames: Annotated[Count, _size("--frames", "Photographs, of case frames.", "10")] = None,
     scene: SceneFlag = None,
-    settings: Settings = None,
+    settings: Annotated[Settings, _settings("snr=40 or cloud_banks=[[100,50]]")] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -174,7 +176,7 @@ def stereo(
     shots: Annotated[Count, _size("--shots", "Of each camera.")] = None,
     points: Annotated[Count, _size("--points", "On the ground.")] = None,
     scene: SceneFlag = None,
-    settings: Settings = None,
+    settings: Annotated[Settings, _settings("sigma_px=.5 or images=true")] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -192,7 +194,7 @@ def frames(
     columns: Annotated[Count, _size("--columns", "Of a frame.")] = None,
     frames: Annotated[Count, _size("--frames", "Of every flight line.")] = None,
     scene: SceneFlag = None,
-    settings: Settings = None,
+    settings: Annotated[Settings, _settings("snr=40 or missing=3,20-40")] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -217,8 +219,9 @@ def _simulate(
     from sightline.version import VERSION
 
     begin = time.perf_counter()
-    recipe = read_recipe(kind, scene, settings or (), flags)
-    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+    with output_folder(out, overwrite=overwrite, writes=[SCENE]) as folder, progress() as report:
+        # read here, that files of the scene are known as inputs and are not replaced
+        recipe = read_recipe(kind, scene, settings or (), flags)
         with naming(scene) if scene else nullcontext(), failing_numbers("the scene"):
             cost = scene_cost(recipe)
             cost.check()

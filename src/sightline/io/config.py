@@ -384,6 +384,8 @@ def _explain(error: Any) -> str:
         if isinstance(where[-1], int) and len(where) == 2:
             return f"{key} = {shown(given)} is not allowed: a list is, as {where[0]} = [[1, 2], [3, 4]]"
         return f"{key} = {shown(given)} is not allowed: a list is, its values in brackets, as [1.0, 2.0]"
+    if kind in ("bool_type", "bool_parsing"):
+        return f"{key} = {shown(given)} is not allowed: true or false is"
     if kind == "too_long":
         return f"{key} holds more values than the {context['max_length']} that are allowed; leave some out"
     if kind == "too_short":

@@ -252,6 +252,17 @@ def test_stages_are_taken_from_a_choice(tmp_path, scene):
     assert again.options == recipe.options
 
 
+def test_stretches_need_no_outer_brackets():
+    for given in ("[1,2],[3,4]", "[1, 2] , [3, 4]", "[[1,2],[3,4]]", "[[1,2],[.3e1,4]]"):
+        recipe = read_recipe("line-of-sight", None, [f"cloud_banks={given}"])
+        assert recipe.options.cloud_banks == ((1, 2), (3, 4))
+
+
+def test_what_is_neither_true_nor_false_is_answered_with_both():
+    assert said("gyro=7", kind="line-of-sight") == "--set: gyro = 7 is not allowed: true or false is"
+    assert said("gyro=none", kind="line-of-sight") == "--set: gyro = 'none' is not allowed: true or false is"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

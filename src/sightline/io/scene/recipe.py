@@ -273,7 +273,8 @@ def _value(text: str) -> Any:
         (value,) = tomllib.loads(f"value = {text}").values()
     except (ValueError, RecursionError):
         inner = text.strip()
-        listed = inner.startswith("[") and inner.endswith("]")
+        # [1, 2], [3, 4] begins and ends with brackets that are not each other's
+        listed = inner.startswith("[") and inner.endswith("]") and len(_items(inner)) == 1
         parts = _items(inner[1:-1] if listed else inner)
         if listed or len(parts) > 1:
             return [_value(part) for part in parts if part]
