@@ -115,17 +115,27 @@ class TestWhiteRows:
         got, tells = bright_windows(shifts, brightness, shifts.seen, STEP, PER_METRE)
         assert not tells and not got.any()
 
-    def test_of_a_star_that_is_all_white_are_known_by_the_rest_of_the_strip(self):
+    @pytest.mark.parametrize(("blocks", "cloudy"), [(3, False), (BLOCKS, True), (BLOCKS, False)])
+    def test_of_a_star_that_is_all_white_are_known_by_the_rest_of_the_strip(self, blocks, cloudy):
         whole, brightness = strip(13, np.zeros((ROWS, BLOCKS), dtype=bool))
-        brightness[120:] += CLOUD - GROUND  # three fifths
-        some = slice(200, 220)
-        shifts = RowShifts(whole.x, whole.value[some], whole.variance[some], whole.seen[some])
+        brightness[120:] += CLOUD - GROUND  # three fifths; it may be land beside water
+        some = slice(200, 240), slice(0, blocks)
+        shifts = RowShifts(whole.x[:blocks], whole.value[some], whole.variance[some], whole.seen[some])
         alone, _ = bright_windows(shifts, brightness[some], shifts.seen, STEP, PER_METRE)
         assert not alone.any()
+        everywhere = brightness[::5].ravel()
         got, _ = bright_windows(
-            shifts, brightness[some], shifts.seen, STEP, PER_METRE, elsewhere=brightness[::5].ravel()
+            shifts, brightness[some], shifts.seen, STEP, PER_METRE, everywhere, cloudy=cloudy
         )
-        assert got.all()
+        assert (got == (cloudy or blocks == 3)).all()
+
+    @pytest.mark.parametrize("per_metre", [PER_METRE, PER_METRE / 10])
+    def test_are_believed_in_rows_long_enough_to_tell_that_do_not(self, per_metre):
+        cloudy = np.zeros((ROWS, BLOCKS), dtype=bool)
+        cloudy[100:190] = True  # as straight as a border can be: none of its rows compares
+        shifts, brightness = strip(14, cloudy, departure=0.0)
+        got, _ = bright_windows(shifts, brightness, shifts.seen, STEP, per_metre)
+        assert not got.any()
 
 
 class TestFlatWhite:

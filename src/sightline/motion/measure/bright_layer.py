@@ -4,10 +4,9 @@ Clouds are bright, and so are some fields. Whether brightness tells of foreign m
 strip: within a row of windows motion can only shift and tilt, so that what bright windows depart by from
 dark ones of their row is no motion, whichever of the two is the ground. A row that is all cloud shows no
 such difference; there flat white, in which nothing can be matched, gives the cloud away, and bright windows
-about it are not believed. Nor is white of which rows do not say that it lies as low as the ground beside it:
-in narrow strips, whose rows are all cloud or none, the motion would take the cloud's shift. The first two
-cost bright ground near clouds, and nothing where there are none; the last costs white ground of which few
-rows show anything darker beside it.
+about it are not believed. Nor is white of which few rows show that it departs; and, in strips too narrow for
+rows to show it, white of which they do not show the contrary: the motion would take the cloud's shift. All of
+it costs bright ground near clouds, and nothing where there are none but white ground of narrow strips.
 
 Not here: what the departures of single windows tell (``consensus.py``).
 """
@@ -23,6 +22,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+#: Rows of windows need this many blocks to tell foreign motion from that of the row.
+MIN_BLOCKS = 4
 #: Brightnesses at which windows are split into bright and dark, tried from end to end of what there is; the
 #: least number of windows on either side.
 SPLITS, LEAST_WINDOWS = 20, 40
@@ -79,6 +80,8 @@ def bright_windows(
     step: float,
     per_metre: float,
     elsewhere: Array | None = None,
+    *,
+    cloudy: bool = False,
 ) -> tuple[Flags, bool]:
     """Windows (rows, blocks) that are taken for cloud because they, or those next to them, are so bright.
 
@@ -97,6 +100,8 @@ def bright_windows(
         px by which a target higher by a metre is shifted.
     elsewhere : (M,), optional
         Brightness of windows of the whole strip, where these are of a part of it; NaN where unknown.
+    cloudy : bool
+        Whether the rest of the strip is known to show clouds: then white is ground only where rows say so.
     """
     known = np.isfinite(brightness)
     seen = shifts.seen & known
@@ -110,7 +115,9 @@ def bright_windows(
         out |= brightness > _brightest_ground(ground, cloud)
     white = _flat_white(brightness, ground, matched, step)
     if cloud is None:
-        white |= _white_not_vouched_for(shifts, brightness, ground, seen, LEAST_CLOUD * per_metre)
+        doubted = cloudy or brightness.shape[1] < MIN_BLOCKS
+        least_px = LEAST_CLOUD * per_metre
+        white |= _white_not_vouched_for(shifts, brightness, ground, seen, least_px, doubted=doubted)
     if white.any():
         about = sum_beside(sum_along(white.astype(float), _rows(ABOUT, step))) > 0
         out |= about & (brightness > _brightest_ground(ground, float(np.median(brightness[white]))))
@@ -151,15 +158,19 @@ def _departing_brightness(
 
 
 def _white_not_vouched_for(
-    shifts: RowShifts, brightness: Array, ground: Array, seen: Flags, least_px: float
+    shifts: RowShifts, brightness: Array, ground: Array, seen: Flags, least_px: float, *, doubted: bool
 ) -> Flags:
-    """Windows far brighter than ground, unless rows say that they depart by less than clouds do."""
+    """Windows far brighter than ground, unless rows say that they depart by less than clouds do.
+
+    Where nothing else casts doubt on them rows must show that they depart at all.
+    """
     median, spread = _median_and_spread(ground)
     white = seen & (brightness > median + WHITE * spread)
     for component in range(2):
-        moved, size = (sums.sum() for sums in _from_others_of_row(shifts, component, seen, white))
+        moved, size = (float(sums.sum()) for sums in _from_others_of_row(shifts, component, seen, white))
         least = _least_departure(shifts, component, seen, least_px)
-        if abs(moved) + VOUCHED * math.sqrt(size) >= least * size:
+        shown = abs(moved) > CERTAIN * math.sqrt(size)
+        if (doubted or shown) and abs(moved) + VOUCHED * math.sqrt(size) >= least * size:
             return white
     return np.zeros_like(white)
 

@@ -21,15 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.compiled import njit
-from sightline.motion.measure.bright_layer import RowShifts, bright_windows, sum_along, sum_beside
+from sightline.motion.measure.bright_layer import MIN_BLOCKS, RowShifts, bright_windows, sum_along, sum_beside
 from sightline.motion.measure.observations import Star
 from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Rows of windows need this many blocks to tell foreign motion from that of the row.
-MIN_BLOCKS = 4
 #: Departures are averaged over so many lines to either side: a small cloud's half, a large one's.
 REACHES = (26.0, 80.0)
 #: Squared departure, in variances of the mean of two components, up to which a window counts in full (3 % of
@@ -83,12 +81,13 @@ def ground_weights(stars: Sequence[Star], post_px: Sequence[Array], relief_sigma
     """
     largest = int(np.argmax([s.shape[0] * s.shape[1] for s in stars]))
     first = stars[largest]
-    foreign = _foreign(first, post_px[largest], np.zeros(first.shape), relief_sigma)
+    foreign, cloudy = _foreign(first, post_px[largest], np.zeros(first.shape), relief_sigma)
     out = []
     for k, (star, post) in enumerate(zip(stars, post_px, strict=True)):
         squared = foreign
         if k != largest:
-            squared = _foreign(star, post, _on_same_ground(star, first, foreign), relief_sigma)
+            least = _on_same_ground(star, first, foreign)
+            squared, _ = _foreign(star, post, least, relief_sigma, cloudy=cloudy)
         out.append(_pair_weights(star, squared))
     return out
 
@@ -105,21 +104,30 @@ def _pair_weights(star: Star, foreign: Array) -> Array:
     return star.each(weights, foreign.reshape(-1, 1), star.residual_px, star.covariance_px)
 
 
-def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> Array:
-    """Squared size (rows, blocks) of each window's worst departure, at least `least`; infinite if unseen."""
+def _foreign(
+    star: Star, post_px: Array, least: Array, relief_sigma: float, *, cloudy: bool = False
+) -> tuple[Array, bool]:
+    """Squared size (rows, blocks) of each window's worst departure, at least `least`; infinite if unseen.
+
+    And whether brightness told clouds anywhere; `cloudy`: whether it did elsewhere.
+    """
     rows, blocks = star.shape
     if rows < 2:
-        return least
+        return least, False
+    told = False
     parts, halo, out = -(-rows // MOST_ROWS), HALO * _reaches(star)[-1], np.empty(least.shape)
     for first, last in pairwise(np.linspace(0, rows, parts + 1).round().astype(int).tolist()):
         with_halo = slice(max(first - halo, 0), min(last + halo, rows))
         post = post_px[with_halo.start * blocks : with_halo.stop * blocks]
-        found = _foreign_near(star.rows(with_halo), post, least[with_halo], relief_sigma)
+        found, here = _foreign_near(star.rows(with_halo), post, least[with_halo], relief_sigma, cloudy)
         out[first:last] = found[first - with_halo.start : last - with_halo.start]
-    return out
+        told = told or here
+    return out, told
 
 
-def _foreign_near(star: Star, post_px: Array, least: Array, relief_sigma: float) -> Array:
+def _foreign_near(
+    star: Star, post_px: Array, least: Array, relief_sigma: float, cloudy: bool
+) -> tuple[Array, bool]:
     """The same of rows that are judged together."""
     rows, blocks = star.shape
     shift = _common_shift(star, post_px)
@@ -140,12 +148,18 @@ def _foreign_near(star: Star, post_px: Array, least: Array, relief_sigma: float)
         shifts = RowShifts(shift.x, shift.value, shift.variance + shift.lasting, shift.seen)
         brightness = star.brightness.reshape(star.shape)
         bright, tells = bright_windows(
-            shifts, brightness, matched, _line_step(star), per_metre, star.brightness_elsewhere
+            shifts,
+            brightness,
+            matched,
+            _line_step(star),
+            per_metre,
+            star.brightness_elsewhere,
+            cloudy=cloudy,
         )
         shift = replace(shift, seen=shift.seen & ~bright, lent=0 if tells else shift.lent)
     if blocks < MIN_BLOCKS:
         # a line through so few passes near all of them: no row tells more
-        return np.where(seen & bright, np.inf, least)
+        return np.where(seen & bright, np.inf, least), bool(bright.any())
     worst = _worst_departures(shift, reaches, up, least)
     undermined = _undermined(shift, worst, reaches, up)
     # where hardly any window saw the ground, nothing vouches for those that seem to
@@ -154,7 +168,7 @@ def _foreign_near(star: Star, post_px: Array, least: Array, relief_sigma: float)
     lost |= undermined
     # images of one instant see a cloud where they see the ground: their matches cannot be judged
     unjudged = np.where(matched & ~seen, least, np.inf)
-    return np.where(shift.seen & ~lost[:, None], worst, unjudged)
+    return np.where(shift.seen & ~lost[:, None], worst, unjudged), bool(bright.any())
 
 
 def _undermined(shift: _Shift, worst: Array, reaches: list[int], up: Array) -> Flags:

@@ -18,8 +18,8 @@ from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
+from sightline.motion.measure.bright_layer import MIN_BLOCKS
 from sightline.motion.measure.common_view import Views, common_views
-from sightline.motion.measure.consensus import MIN_BLOCKS
 from sightline.motion.measure.laid_strips import MOST_UNLIKE, UNLIKE, pixel_sizes
 from sightline.motion.measure.plan import (
     LEAST_WINDOW,
