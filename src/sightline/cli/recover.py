@@ -147,9 +147,7 @@ def recover_acquisition(
     if stages is not None:
         stages.depend(acquired.inputs)
     options = (
-        RecoverOptions(**acquired.matching, method=method, withhold=withhold, asked=tuple(acquired.matching))
-        if not acquired.frames
-        else None
+        RecoverOptions.from_matching(acquired.matching, method, withhold) if not acquired.frames else None
     )
     if options is None and method != "joint":
         raise InputError(

@@ -235,7 +235,7 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
                 frames, acquired.surface, FrameOptions.from_matching(given), acquired.height_sigma
             )
         else:
-            options = RecoverOptions(**given, method=method, asked=tuple(given))
+            options = RecoverOptions.from_matching(given, method)
             cost = strip_cost(acquired.bands, options, acquired.surface)
             cost.check()
             known, sensors, control = acquired.known_motion, acquired.sensors, acquired.control_points

@@ -6,8 +6,9 @@ Not here: the estimate (``estimate.py``), the passes (``applications/line_of_sig
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +117,13 @@ class RecoverOptions:
     withhold: tuple[tuple[str, str], ...] = ()
     method: str = "joint"
     asked: tuple[str, ...] = ()
+
+    @classmethod
+    def from_matching(
+        cls, matching: Mapping[str, Any], method: str, withhold: tuple[tuple[str, str], ...] = ()
+    ) -> RecoverOptions:
+        """Options of a ``[matching]`` table, which holds what was asked for, and of the command's flags."""
+        return cls(**matching, method=method, withhold=withhold, asked=tuple(matching))
 
     def own(self, name: str) -> bool:
         """Whether an option was asked for."""
