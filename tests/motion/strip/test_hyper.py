@@ -550,6 +550,37 @@ def test_noise_shows_no_hidden_mode_nor_is_one_looked_for_that_stages_leave() ->
     assert hidden.with_shown_mode(mute, plain, (0.0, 0.6), AVERAGED) is mute
 
 
+def test_a_mode_that_others_let_expect_is_taken_though_chance_might_show_as_much(monkeypatch) -> None:
+    # two modes up to 83 Hz let expect one of .15 (83 / f)^1.5 rms beyond in a third of strips. Of .1 rms at
+    # 122 Hz in all axes 600 instants of .9 gain 3 * 600 * .01 / .81 / 2 = 11 on average, less the freedom
+    # of six amplitudes costs: in every tenth draw the log (60 / .01) = 8.7 that chance does not reach
+    t = STEP * np.arange(600)
+    motion = 0.1 * np.sqrt(2.0) * np.cos(2.0 * np.pi * 122.0 * t[:, None] + np.array([0.0, 1.0, 2.0]))
+    model = PriorModel(LOUD_SPECTRA, unseen=((), (), ()), blur_shows=True)
+    shown = [shown_by_noisy_instants(motion, 0.9, seed) for seed in range(12)]
+
+    def places() -> list[float]:
+        after = [hidden.with_shown_mode(model, one, (0.0, 0.6), AVERAGED).unseen[0] for one in shown]
+        return [tones[0].frequency for tones in after if tones]
+
+    found = np.array(places())
+    monkeypatch.setattr(hidden, "LIKELY", np.inf)
+    beyond_chance = places()
+    # .6 s resolve 1.7 Hz
+    assert np.abs(found - 122.0).max() < 1.7
+    assert len(found) >= len(beyond_chance) + 3
+
+
+def test_the_variance_of_a_few_amplitudes_is_that_of_modes_of_their_kind() -> None:
+    # against the integral over all variances, by quadrature: by the amplitudes, and by e^(-v / mean)
+    for found, count, usual in ((0.1, 2.0, 1.0), (3.0, 3.8, 0.5), (1e-9, 4.0, 1e-9), (2.0, 12.0, 40.0)):
+        v = usual * np.exp(np.linspace(-14.0, 7.0, 40_001))
+        likely = v * v ** (-0.5 * count) * np.exp(-0.5 * count * found / v - v / usual)
+        expected = (v * likely).sum() / likely.sum()
+        assert hidden._mean_variance(found, count, usual) == pytest.approx(expected, rel=1e-3)
+    assert hidden._mean_variance(0.3, 2.0, np.inf) == 0.3
+
+
 def test_only_motion_that_stages_leave_much_of_is_plainly_seen() -> None:
     # 16 stages of .5 ms leave .75 of 50 Hz, .13 of 110 Hz, and nothing of 125 Hz; where tones
     # are cut off at the ends they ring, beyond 50 nodes by less than a twentieth

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from sightline.estimation.prior import Tone
+from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
+from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.strip import RecoverOptions, prepared
-from sightline.motion.strip.warnings import _far_off, _large_hidden, out_of_step
+from sightline.motion.strip.warnings import _far_off, _hidden_by_stages, _large_hidden, out_of_step
 from sightline.simulate.scenarios import line_of_sight_case
 
 
@@ -72,3 +74,48 @@ def test_hidden_modes_too_large_for_their_blur_are_named_with_axis_frequency_and
     assert "average away 47 Hz of roll (0.3 px): " in said
     for quiet in (replace(model, blur_shows=False), replace(model, unseen=((usual,), (), (large,)))):
         assert _large_hidden(strip, SimpleNamespace(model=quiet)) == []
+
+
+def test_modes_that_stages_hide_and_rows_do_not_tell_of_are_named_where_sigma_holds_none() -> None:
+    # modes of .2 px up to 83 Hz let expect .11 px at 121 Hz, more than the sigma of .02 px: 600 instants of
+    # 20 px tell nothing of them, of .02 px that there are none
+    pixel = 5e-6
+    strip = SimpleNamespace(
+        scale=np.full(3, pixel),
+        nominal=[SimpleNamespace(stage_times=(8e-3,)), SimpleNamespace(stage_times=(8e-3,))],
+    )
+    seen = (Tone(pixel * 0.25, 47.0, 0.1), Tone(pixel * 0.2, 83.0, 0.1))
+    loud = Spectrum((Matern(pixel, 1.0, "5/2"), Matern(0.1 * pixel, 0.01, "3/2"), *seen))
+    star = SimpleNamespace(stretches=lambda: [slice(None)], t=np.array([[0.0, 0.3]]), t_hub=np.array([0.0]))
+    star.present = np.ones((1, 2), dtype=bool)
+    motion = SimpleNamespace(covariance=np.tile((0.02 * pixel) ** 2 * np.eye(3), (9, 1, 1)))
+
+    def state(noise_px: float, **changed: Any) -> Any:
+        model = replace(PriorModel((loud,) * 3, blur_shows=True), **changed)
+        noise = noise_px * pixel
+        rows = noise * np.random.default_rng(0).standard_normal((600, 3))
+
+        def shown_of(waves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            flat = waves.reshape(-1, waves.shape[2])
+            return flat.T @ rows.ravel() / noise**2, flat.T @ flat / noise**2
+
+        estimate = SimpleNamespace(grid=TimeGrid(0.0, 5e-4, 600), shown_of=shown_of)
+        return SimpleNamespace(model=model, estimate=estimate, records=[SimpleNamespace(star=star)])
+
+    (said,) = _hidden_by_stages(strip, state(20.0), motion)
+    assert "average away 1" in said and "by those of 47, 83 Hz" in said and "sigma holds none" in said
+    # two modes up to 83 Hz: 4 / 3 83^2 / f^3 in every Hz of which stages leave less than .15, up to four of
+    # their cycles; a few per cent of them smaller than sigma
+    f = np.arange(1.0, 500.0, 0.1)
+    odds = (4.0 / 3.0 * 83.0**2 / f**3 * 0.1)[np.abs(np.sinc(8e-3 * f)) < 0.15].sum()
+    chance = float(said.split("probability ")[1].split(",")[0])
+    assert chance == pytest.approx(odds / (1.0 + odds), rel=0.15)
+    # where rows cannot show them at all, it is all the same
+    assert _hidden_by_stages(strip, state(20.0, blur_shows=False), motion)
+    assert _hidden_by_stages(strip, state(0.02), motion) == []
+    owned = state(20.0, unseen=((Tone(pixel, 121.0, 8.0),), (), ()))
+    assert _hidden_by_stages(strip, owned, motion) == []
+    without = SimpleNamespace(scale=strip.scale, nominal=[*strip.nominal, SimpleNamespace(stage_times=())])
+    assert _hidden_by_stages(without, state(20.0), motion) == []
+    sure = SimpleNamespace(covariance=np.tile((3.0 * pixel) ** 2 * np.eye(3), (9, 1, 1)))
+    assert _hidden_by_stages(strip, state(20.0), sure) == []

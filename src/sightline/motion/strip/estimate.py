@@ -240,9 +240,7 @@ def solve_strip(
         left = [s.each(np.subtract, m, w) for s, m, w in zip(stars, clear, whole, strict=True)]
         return found, left, without
 
-    # an image without stages shows all
-    hiding = all(camera.stage_times for camera in strip.nominal)
-    averaged = sorted({each for camera in strip.nominal for each in camera.stage_times}) if hiding else []
+    averaged = averaging_times(strip)
     news = False
     estimate, post, without = solution()
     for _ in range(rounds):
@@ -271,9 +269,9 @@ def solve_strip(
         if uneven:
             if model.blur_shows:
                 # what was found last is in the blur of the next estimate only
-                more = model if news else with_shown_mode(model, estimate, _span(stars), averaged)
+                more = model if news else with_shown_mode(model, estimate, matched_span(stars), averaged)
                 news = more is not model
-                model = more if news else learned(model, estimate, _span(stars))
+                model = more if news else learned(model, estimate, matched_span(stars))
                 prior = replace(prior, angles=model.estimated().processes(grid))
             about = estimate.nodes if settled else plainly_seen(strip, estimate.nodes)
             stars = _blurred_anew(strip, records, stars, about, estimate.statics)
@@ -308,7 +306,13 @@ def solve_strip(
     )
 
 
-def _span(stars: Sequence[Star]) -> tuple[float, float]:
+def averaging_times(strip: Strip) -> list[float]:
+    """s; over which the stages of all images average: an image without stages shows all, and leaves none."""
+    hiding = all(camera.stage_times for camera in strip.nominal)
+    return sorted({each for camera in strip.nominal for each in camera.stage_times}) if hiding else []
+
+
+def matched_span(stars: Sequence[Star]) -> tuple[float, float]:
     """First and last instant (s) of windows: beyond them a motion is what its neighbours make of it."""
     first, last = np.inf, -np.inf
     for star in stars:
@@ -377,7 +381,7 @@ def with_blur_errors(strip: Strip, state: StripState) -> PriorModel:
         np.where(np.isfinite(s.residual_px), 0.0 if s.blur_px is None else s.blur_px, np.nan) for s in stars
     ]
     orders, relief = _ground_orders(strip, stars), estimate.relief is not None
-    nodes, (first, last) = strip.grid.nodes, _span(stars)
+    nodes, (first, last) = strip.grid.nodes, matched_span(stars)
     inside = (nodes >= first) & (nodes <= last)
     directions = estimate.hidden_directions(estimate.hidden_drifts)[inside]
 

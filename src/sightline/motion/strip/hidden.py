@@ -11,15 +11,16 @@ Not here: the first guess of these tones (``estimation/search.py``), the weights
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import matmul_toeplitz
+from scipy.special import kve
 
 from sightline.estimation.prior import Spectrum, Tone
-from sightline.estimation.search import HIDDEN_TO, HIGHEST, LEFT_BY_TDI, SAME_TONE, left_by_tdi
+from sightline.estimation.search import HIDDEN_TO, HIGHEST, LEFT_BY_TDI, SAME_TONE, SELDOM, left_by_tdi
 from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import JointEstimate
 
@@ -33,10 +34,16 @@ PIECE, MOST_PIECES = 1.0, 3
 NARROWEST = 0.1
 #: A tone is at most as wide as this share of its frequency.
 WIDEST = 0.1
-#: Sizes of a mode that are tried, in broadband sigmas, and at how many places it is found more closely.
+#: Sizes of a mode that are tried, in units of what is usual, and at how many places it is found more closely.
 SIZES, CLOSELY = np.geomspace(0.05, 20.0, 13), 11
 #: Probability that chance shows one anywhere, and its width at first, in units of one over the length.
 CHANCE, BEGUN = 0.01, 0.3
+#: Odds of a mode, by rows and by modes that are seen, from which on it is taken for one all the same.
+LIKELY = SELDOM / (1.0 - SELDOM)
+#: So many amplitudes tell their variance by themselves.
+MANY = 30.0
+#: More evidence than this is beyond any doubt, and its exponential beyond numbers.
+MOST_EVIDENCE = 500.0
 #: Frequencies that are looked at together: the waves of each are six motions.
 AT_ONCE = 16
 
@@ -55,36 +62,102 @@ def with_shown_mode(
     tdi : sequence of float
         s; over which the stages average.
     """
-    nodes = estimate.grid.nodes
-    pieces = _pieces(nodes, seen)
-    if not pieces or not model.blur_shows or not tdi:
+    pieces = _pieces(estimate.grid.nodes, seen)
+    if not pieces or not model.blur_shows:
         return model
-    length = float(nodes[pieces[0]][-1] - nodes[pieces[0]][0])
-    f = np.arange(1.0 / length, min(HIDDEN_TO / min(tdi), HIGHEST / estimate.grid.step), 0.5 / length)
-    f = f[left_by_tdi(f, tdi) < LEFT_BY_TDI]
+    length = _length(estimate, pieces)
+    f = _averaged_away(tdi, estimate, length)
     if not len(f):
         return model
     evidence = _evidence(f, pieces, model, estimate)
     kind, size, place = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
-    if evidence[kind, size, place] < math.log(len(f) / CHANCE):
+    chance = evidence[kind, size, place] < math.log(len(f) / CHANCE)
+    if chance and _odds(f, evidence, model, length).sum() < LIKELY:
         return model
     near = f[place] + np.linspace(-0.5, 0.5, CLOSELY) / length
     evidence = _evidence(near, pieces, model, estimate)[kind]
     size, place = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
     frequency, apart = float(near[place]), SAME_TONE / length
     unseen = []
-    for loud, tones in zip(_loud(model), model.unseen, strict=True):
+    sizes = SIZES[size] * _usual(model, frequency)
+    for sigma, tones in zip(sizes.tolist(), model.unseen, strict=True):
         off = [(abs(tone.frequency - frequency), tone) for tone in tones]
         if not any(distance < apart and tone.bandwidth < apart for distance, tone in off):
             others = [tone for distance, tone in off if distance > max(apart, WIDTHS * tone.bandwidth)]
-            tones = (*others, Tone(float(SIZES[size] * loud), frequency, BEGUN / length))
+            tones = (*others, Tone(sigma, frequency, BEGUN / length))
         unseen.append(tones)
     return model if unseen == list(model.unseen) else replace(model, unseen=tuple(unseen))
 
 
-def _loud(model: PriorModel) -> Array:
-    """(3,) rad; sigmas of the broadband jitter."""
-    return np.array([spectrum.components[1].sigma for spectrum in model.spectra])
+def likely_modes(
+    model: PriorModel,
+    estimate: JointEstimate,
+    seen: tuple[float, float],
+    tdi: Sequence[float],
+    least: Array,
+) -> tuple[Array, Array, Array]:
+    """How likely modes larger than `least` are where stages hide them, by what rows show and what is seen.
+
+    Parameters
+    ----------
+    model, estimate, seen, tdi
+        As for `with_shown_mode`.
+    least : (3,)
+        rad; a mode counts that is larger about some axis.
+
+    Returns
+    -------
+    f : (n,)
+        Hz
+    odds : (n,)
+        Of a mode there against none.
+    sizes : (n, 3)
+        rad, rms of such modes in roll, pitch, yaw.
+    """
+    pieces = _pieces(estimate.grid.nodes, seen)
+    if not pieces:
+        return np.zeros(0), np.zeros(0), np.zeros((0, 3))
+    length = _length(estimate, pieces)
+    f = _averaged_away(tdi, estimate, length)
+    if not len(f):
+        return f, f, np.zeros((0, 3))
+    evidence = _evidence(f, pieces, model, estimate)
+    usual = _usual(model, f)
+    larger = np.any(SIZES[:, None, None] * usual > least, axis=2)
+    odds = _odds(f, evidence, model, length) * larger
+    mean = (SIZES[:, None] ** 2 * odds).sum(axis=0) / np.maximum(odds.sum(axis=0), 1e-300)
+    return f, odds.sum(axis=0), np.sqrt(mean)[:, None] * usual
+
+
+def _odds(f: Array, evidence: Array, model: PriorModel, length: float) -> Array:
+    """Odds (sizes, frequencies) of modes at `f` (Hz) against none, by the evidence of rows of a `length` (s).
+
+    Modes are as dense beyond the last that is seen as `Search.hidden_tones` has it; a mode of all axes is as
+    likely as one of any alone.
+    """
+    known = sorted(tone.frequency for one in model.spectra for tone in one.tones)
+    if not known:
+        return np.zeros(evidence.shape[1:])
+    last, count = known[-1], float(1 + (np.diff(known) > 1.0).sum())
+    density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
+    # of an exponential variance, in equal steps of its log
+    share = 2.0 * math.log(SIZES[1] / SIZES[0]) * SIZES[:, None] ** 2
+    likelier = np.exp(np.minimum(evidence, MOST_EVIDENCE)).mean(axis=0)
+    return np.asarray(density * (0.5 / length) * share * likelier)
+
+
+def _averaged_away(tdi: Sequence[float], estimate: JointEstimate, length: float) -> Array:
+    """Frequencies (Hz) that stages average away, half the resolution of `length` (s) apart."""
+    if not tdi:
+        return np.zeros(0)
+    f = np.arange(1.0 / length, min(HIDDEN_TO / min(tdi), HIGHEST / estimate.grid.step), 0.5 / length)
+    return f[left_by_tdi(f, tdi) < LEFT_BY_TDI]
+
+
+def _length(estimate: JointEstimate, pieces: Sequence[slice]) -> float:
+    """s, of a piece of a strip."""
+    piece = estimate.grid.nodes[pieces[0]]
+    return float(piece[-1] - piece[0])
 
 
 def _evidence(f: Array, pieces: Sequence[slice], model: PriorModel, estimate: JointEstimate) -> Array:
@@ -94,34 +167,59 @@ def _evidence(f: Array, pieces: Sequence[slice], model: PriorModel, estimate: Jo
 
     Notes
     -----
-    Sinusoids of Gaussian amplitudes of variance v, in units of the broadband jitter of each axis, make rows
+    Sinusoids of Gaussian amplitudes of variance v, in units of what is usual about each axis, make rows
     ``exp(s' (1 / v + J)^-1 s / 2) / det(1 + v J)^(1/2)`` times as likely, with their score s and information
-    J; phases of pieces of a strip tell nothing of each other. Beforehand v is exponential, of the mean of the
-    modes that are seen, which falls as f^-3 (`Search.hidden_tones`).
+    J; phases of pieces of a strip tell nothing of each other. Beforehand v is exponential, of mean 1.
     """
-    nodes, loud = estimate.grid.nodes, _loud(model)
-    modes = [
-        (tone.sigma / size) ** 2 * tone.frequency**3
-        for spectrum, size in zip(model.spectra, loud, strict=True)
-        for tone in spectrum.tones
-    ]
-    strength = float(np.square(modes).sum() / np.sum(modes)) if modes else math.inf
-    out = np.tile(-np.outer(SIZES**2, f**3 / strength), (4, 1, 1))
+    out = np.tile(-(SIZES[:, None] ** 2) * np.ones(len(f)), (4, 1, 1))
+    rows = _shown(f, pieces, _usual(model, f), estimate) if model.blur_shows else ()
+    for place, score, information in rows:
+        for kind, axes in enumerate((slice(0, 6), slice(0, 2), slice(2, 4), slice(4, 6))):
+            j, vectors = np.linalg.eigh(information[axes, axes])
+            seen = 1.0 + np.outer(SIZES**2, np.maximum(j, 0.0))
+            gain = SIZES[:, None] ** 2 * (vectors.T @ score[axes]) ** 2 / seen
+            out[kind, :, place] += 0.5 * (gain - np.log(seen)).sum(axis=1)
+    return out
+
+
+def _usual(model: PriorModel, f: ArrayLike) -> Array:
+    """(..., 3) rad; sigmas of modes at `f` (Hz) in roll, pitch, yaw, by those that are seen.
+
+    Notes
+    -----
+    Variances fall as f^-3 (`Search.hidden_tones`); small modes, some of them none, count for little. An axis
+    without any has them as the others do, by its broadband jitter; where none is seen, modes are as large as
+    that.
+    """
+    loud = np.array([spectrum.components[1].sigma ** 2 for spectrum in model.spectra])
+    own = [np.array([tone.sigma**2 * tone.frequency**3 for tone in one.tones]) for one in model.spectra]
+    strength = np.array([one @ one / one.sum() if one.sum() > 0.0 else np.nan for one in own])
+    known = np.isfinite(strength)
+    if not known.any():
+        return np.sqrt(loud) * np.ones((*np.shape(f), 1))
+    others = np.mean(strength[known] / loud[known])
+    return np.sqrt(np.where(known, strength, others * loud) / np.asarray(f)[..., None] ** 3)
+
+
+def _shown(
+    f: Array, pieces: Sequence[slice], sizes: Array, estimate: JointEstimate
+) -> Iterator[tuple[int, Array, Array]]:
+    """At each of `f` (Hz), by its place: score (6,) and information (6, 6) of its cosines and sines.
+
+    Of roll, pitch, yaw, of `sizes` (frequencies, 3) in rad.
+    """
+    nodes = estimate.grid.nodes
     parts = np.array_split(np.arange(len(f)), -(-len(f) // AT_ONCE))
     for piece, part in ((piece, part) for piece in pieces for part in parts):
         phase = 2.0 * math.pi * np.outer(nodes[piece] - nodes[piece][0], f[part])
         waves = np.zeros((len(nodes), 3, len(part), 3, 2))
         for axis in range(3):
-            waves[piece, axis, :, axis] = loud[axis] * np.stack([np.cos(phase), np.sin(phase)], axis=-1)
+            waves[piece, axis, :, axis] = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
+            waves[piece, axis, :, axis] *= sizes[part, axis, None]
         score, information = estimate.shown_of(waves.reshape(len(nodes), 3, -1))
         for k, place in enumerate(part):
             own = slice(6 * k, 6 * k + 6)
-            for kind, axes in enumerate((slice(0, 6), slice(0, 2), slice(2, 4), slice(4, 6))):
-                j, vectors = np.linalg.eigh(information[own, own][axes, axes])
-                seen = 1.0 + np.outer(SIZES**2, np.maximum(j, 0.0))
-                gain = SIZES[:, None] ** 2 * (vectors.T @ score[own][axes]) ** 2 / seen
-                out[kind, :, place] += 0.5 * (gain - np.log(seen)).sum(axis=1)
-    return out
+            yield int(place), score[own], information[own, own]
 
 
 def learned(model: PriorModel, estimate: JointEstimate, seen: tuple[float, float]) -> PriorModel:
@@ -138,8 +236,13 @@ def learned(model: PriorModel, estimate: JointEstimate, seen: tuple[float, float
     pieces = _pieces(estimate.grid.nodes, seen)
     if not pieces or not model.blur_shows:
         return model
+    known = any(spectrum.tones for spectrum in model.spectra)
+
+    def usual(tone: Tone, axis: int) -> float:
+        return float(_usual(model, tone.frequency)[axis]) if known else math.inf
+
     roll, pitch, yaw = (
-        tuple(_learned(tone, axis, whole, estimate, pieces) for tone in model.unseen[axis])
+        tuple(_learned(tone, axis, whole, usual(tone, axis), estimate, pieces) for tone in model.unseen[axis])
         for axis, whole in enumerate(model.whole())
     )
     return replace(model, unseen=(roll, pitch, yaw))
@@ -158,11 +261,13 @@ def _pieces(nodes: Array, seen: tuple[float, float]) -> list[slice]:
 
 
 def _learned(
-    tone: Tone, axis: int, whole: Spectrum, estimate: JointEstimate, pieces: Sequence[slice]
+    tone: Tone, axis: int, whole: Spectrum, usual: float, estimate: JointEstimate, pieces: Sequence[slice]
 ) -> Tone:
-    """A tone whose power is that of an estimate and of its error, as far as these are its own."""
-    nodes = estimate.grid.nodes
-    length = float(nodes[pieces[0]][-1] - nodes[pieces[0]][0])
+    """A tone whose power is that of an estimate and of its error, as far as these are its own.
+
+    Of a mode, whose few amplitudes tell its variance badly, as that of a mode as large as is `usual` (rad).
+    """
+    nodes, length = estimate.grid.nodes, _length(estimate, pieces)
     reach = max(WIDTHS * tone.bandwidth, RESOLUTIONS / length)
     f = np.arange(max(tone.frequency - reach, 1.0 / length), tone.frequency + reach, 1.0 / length)
     found, expected = np.zeros(len(f)), np.zeros(len(f))
@@ -186,14 +291,29 @@ def _learned(
         share = of_tone / of_all
         found += share**2 * (seen + error) + (1.0 - share) * of_tone
         expected += of_tone
-    size = tone.sigma * math.sqrt(found.sum() / expected.sum())
+    variance = tone.sigma**2 * float(found.sum() / expected.sum())
     # rows that show no mode do not tell where it is: a wide tone would shrink about what is none
     if tone.bandwidth > SAME_TONE / length:
-        return replace(tone, sigma=size)
+        return replace(tone, sigma=math.sqrt(variance))
+    amplitudes = 2.0 + 2.0 * math.pi * tone.bandwidth * length * len(pieces)
     middle, spread = _moments(f, found)
-    _, usual = _moments(f, expected)
-    width = tone.bandwidth * spread / usual
+    _, as_wide = _moments(f, expected)
+    width = tone.bandwidth * spread / as_wide
+    size = math.sqrt(_mean_variance(variance, amplitudes, usual**2))
     return Tone(size, middle, min(max(width, NARROWEST / length), WIDEST * middle))
+
+
+def _mean_variance(found: float, count: float, usual: float) -> float:
+    """Variance to be expected of `count` amplitudes whose mean square is `found`; exponential beforehand.
+
+    Of a mean that is `usual`, infinite where nothing is known beforehand. What is left is a generalised
+    inverse Gaussian distribution.
+    """
+    if usual == math.inf:
+        return found
+    count, found = min(count, MANY), max(found, 1e-12 * usual)
+    order, at = 0.5 * count - 1.0, math.sqrt(2.0 * count * found / usual)
+    return float(math.sqrt(0.5 * count * found * usual) * kve(order - 1.0, at) / kve(order, at))
 
 
 def _moments(f: Array, power: Array) -> tuple[float, float]:

@@ -17,8 +17,9 @@ from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
 from sightline.motion.strip.alternatives import alternative
-from sightline.motion.strip.estimate import StripState
+from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
 from sightline.motion.strip.fusion import uses
+from sightline.motion.strip.hidden import likely_modes
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.shape import shape_warnings
 from sightline.motion.strip.strip import RecoverOptions, Strip
@@ -43,6 +44,10 @@ NOT_FAR = 1.5
 
 #: px; hidden modes beyond this blur by phases of a radian, of which steps about an estimate may go astray.
 LARGE_HIDDEN_PX = 0.2
+
+#: Odds of modes that sigma does not hold, from which on they are worth a warning; frequencies less likely
+#: than so much of the likeliest are not named.
+WORTH_SAYING, MAIN = 0.05, 0.1
 
 #: px; jitter that one detector line hardly ever has.
 WILD_PX = 5.0
@@ -168,6 +173,31 @@ def _large_hidden(strip: Strip, state: StripState) -> list[str]:
         f"the TDI stages average away {', '.join(large)}: only their blur shows them, and of modes so large "
         "not in proportion, so that they, and what is near their sums and differences with others, may be "
         "wrong by as much as that, which sigma does not hold; fewer stages would show them"
+    ]
+
+
+def _hidden_by_stages(strip: Strip, state: StripState, motion: Motion) -> list[str]:
+    """Modes larger than sigma that TDI may hide, where rows are too few, or too noisy, to show them.
+
+    None where something is known to be hidden: sigma holds what is likely of it.
+    """
+    averages = averaging_times(strip)
+    if not averages or any(state.model.unseen):
+        return []
+    assert motion.covariance is not None
+    sigma = np.sqrt(np.median(np.diagonal(motion.covariance, axis1=1, axis2=2), axis=0))
+    span = matched_span([record.star for record in state.records])
+    f, odds, sizes = likely_modes(state.model, state.estimate, span, averages, sigma)
+    if odds.sum() < WORTH_SAYING:
+        return []
+    main = odds > MAIN * odds.max()
+    largest = (sizes[main] / strip.scale).max()
+    tones = sorted({round(tone.frequency) for one in state.model.spectra for tone in one.tones})
+    known, chance = ", ".join(map(str, tones)), odds.sum() / (1.0 + odds.sum())
+    return [
+        f"the TDI stages average away {f[main].min():.0f} to {f[main].max():.0f} Hz, and their blur tells "
+        f"too little here of modes of some {largest:.2g} px rms there (probability {chance:.2g}, by those of "
+        f"{known} Hz): sigma holds none; a longer or wider strip, or a band of fewer stages, would show them"
     ]
 
 
@@ -344,6 +374,7 @@ def strip_warnings(
         )
     out += out_of_step(strip)
     out += _averaged_away(strip, state) + _large_hidden(strip, state)
+    out += _hidden_by_stages(strip, state, motion)
     out += _far_off(strip, state, motion)
     out += _sensor_warnings(strip, state.estimate)
     out += shape_warnings(strip, state)
