@@ -243,7 +243,7 @@ def georeference_sequence(
     )  # fmt: skip
     run.note(CHOSEN)
     run.stages.depend([photogrammetry, cross])
-    problem = begun(problem, followed)
+    given = problem = begun(problem, followed)
     model = None
     try:
         if photogrammetry:
@@ -251,7 +251,7 @@ def georeference_sequence(
             run.note(MODELLED)
         found, tracks = _all_poses(problem, followed, cross, run)
     except DivergedError as error:
-        raise EstimationError(unsolved_words(problem)) from error
+        raise EstimationError(unsolved_words(given)) from error
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
     rig = _with_rig(problem, followed, poses, tracks, run) if problem.rig else None
     poses = poses if rig is None else first_camera(rig, len(tracks))

@@ -200,6 +200,15 @@ def test_a_camera_that_stands_still_points_north():
     np.testing.assert_allclose(still.apply([1.0, 0, 0]), [[0, 1.0, 0]] * 3, atol=1e-12)
 
 
+def test_the_nose_is_along_each_line_up_to_its_ends():
+    # two lines of 20 frames, north and back, 2 m between frames, 60 m apart; 10 sigmas are 5 steps of half
+    t = np.concatenate([np.arange(20.0), 300.0 + np.arange(20.0)])
+    north = 2.0 * np.concatenate([np.arange(20), np.arange(19, -1, -1)])
+    places = np.column_stack([np.repeat([0.0, 60.0], 20), north, np.full(40, 100.0)])
+    forward = track_attitude(t, places, np.ones((40, 3)), None).apply([1.0, 0, 0])
+    np.testing.assert_allclose(forward, np.repeat([[0, 1.0, 0], [0, -1.0, 0]], 20, axis=0), atol=1e-12)
+
+
 def test_without_any_poses_control_points_are_said_to_tell_the_place(tmp_path):
     made = flight()
     made.toml = made.toml.replace('positions = "positions.csv"\nattitudes = "attitudes.csv"\n', "")

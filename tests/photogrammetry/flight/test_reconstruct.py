@@ -17,6 +17,7 @@ from sightline.errors import EstimationError, InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.imaging.source import ArrayImage
+from sightline.photogrammetry.flight import reconstruct as reconstruct_module
 from sightline.photogrammetry.flight.poses import RoughPoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.reconstruct import (
@@ -182,6 +183,20 @@ def test_without_pycolmap_one_clear_error_and_flights_with_attitudes_run(monkeyp
     with pytest.raises(InputError, match="run `pip install pycolmap`"):
         georeference_sequence(problem_of(flight, blind=True))
     assert georeference_sequence(problem_of(flight, blind=False)).model is None
+
+
+def test_frames_that_no_points_place_make_no_model(monkeypatch, flight):
+    # as mapping leaves frames of a field so narrow that it takes all its points back
+    pytest.importorskip("pycolmap")
+    bare = [SimpleNamespace(name=f"{k:06d}.png", has_pose=True, num_points3D=k % 2) for k in range(4)]
+    model = SimpleNamespace(images=dict(enumerate(bare)), points3D={0: None})
+    monkeypatch.setattr(reconstruct_module, "_mapped", lambda *_: model)
+    problem = problem_of(flight, blind=True)
+    with pytest.raises(EstimationError, match=r"gave no model: 0 of them .* degrees\); .* give attitudes"):
+        reconstruct(
+            problem.sources, np.arange(4), [(0, 1)], flight.detector, NADIR_MOUNT, problem.images.position,
+            problem.known.position,
+        )  # fmt: skip
 
 
 def test_a_model_needs_three_positions_and_frames_that_are_alike(flight):

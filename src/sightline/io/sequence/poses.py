@@ -24,6 +24,7 @@ from sightline.io.sequence.models import GivenPoses, given_poses
 from sightline.io.sequence.positions import given_positions
 from sightline.io.sequence.schema import SequenceFile
 from sightline.photogrammetry.block.point_priors import ControlPoints, level_axes
+from sightline.photogrammetry.flight.path import stretches
 from sightline.photogrammetry.flight.poses import RoughPoses
 from sightline.photogrammetry.sightings import Images
 
@@ -188,7 +189,7 @@ def _axes_of(given: GivenRows | None, count: int) -> Array | None:
 
 
 def track_attitude(t: Array, position: Array, sigma: Array, radii: tuple[float, float] | None) -> Rotation:
-    """Attitudes that look straight down, nose along the track, which noise of positions must not hide.
+    """Attitudes that look straight down, nose along the track of each stretch, by places apart beyond noise.
 
     Parameters
     ----------
@@ -207,12 +208,15 @@ def track_attitude(t: Array, position: Array, sigma: Array, radii: tuple[float, 
         M of them; to the north where nothing moves.
     """
     up, _, north = level_axes(position, radii)
-    count = len(t)
+    number = stretches(t)
+    # the way from the end of one line to the beginning of the next is no track
+    first, last = (np.searchsorted(number, number, side=side) for side in ("left", "right"))
+    count, at = len(t), np.arange(len(t))
     known = sigma[np.isfinite(sigma)]
     apart = _HEADING_SIGMAS * float(np.median(known)) if len(known) else 0.0
-    half, at = 1, np.arange(count)
+    half = 1
     while True:
-        move = position[np.minimum(at + half, count - 1)] - position[np.maximum(at - half, 0)]
+        move = position[np.minimum(at + half, last - 1)] - position[np.maximum(at - half, first)]
         level = move - np.einsum("ni,ni->n", move, up)[:, None] * up
         length = np.linalg.norm(level, axis=1)
         if float(np.median(length)) > apart or half >= count:

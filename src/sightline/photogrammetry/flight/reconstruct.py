@@ -45,6 +45,8 @@ _LARGE = 500
 _SIGMA_PX = 0.5
 #: Sightings per frame that the model is adjusted with: the points seen most often.
 _ADJUSTED = 250
+#: Points that a frame of a model shows at least: three give its pose, as many more say whether it is right.
+_LEAST_POINTS = 6
 #: rad; cameras of which no attitude is given look down on the whole within this.
 _DOWN = 0.2
 #: rad; attitudes of a model, of each frame and of all: what a first solution is held by.
@@ -224,10 +226,16 @@ def reconstruct(
     enlarged = min(detector.shape) < _LARGE if enlarged is None else enlarged
     with scratch_folder() as folder:
         model = _mapped(pycolmap, folder, sources, frames, pairs, detector, position, sigma, enlarged)
-    if model is None or model.num_reg_images() < 3:
+    placed = 0 if model is None else len(_placed(model))
+    if placed < 3:
+        lines, columns = np.degrees(
+            2.0 * np.arctan(0.5 * np.array(detector.shape) / detector.focal_length_px)
+        )
         raise EstimationError(
-            f"photogrammetry on {len(frames)} frames gave no model: they are too little alike; "
-            "raise `overlap`, or give attitudes"
+            f"photogrammetry on {len(frames)} frames gave no model: {placed} of them share {_LEAST_POINTS} "
+            "points with depth or more, 3 are needed; they are too little alike, show too little, or see too "
+            f"narrow a field for depth ({lines:.2g} x {columns:.2g} degrees); raise `overlap`, or give "
+            "attitudes"
         )
     up = level_axes(position[frames], radii)[0].mean(axis=0)
     return _in_world(model, detector, mount, position, sigma, -up / np.linalg.norm(up))
@@ -328,7 +336,7 @@ def _in_world(
     model: Any, detector: AreaDetector, mount: Rotation, position: Array, sigma: Array, down: Array
 ) -> FrameModel:
     """A model brought to the world by the given positions: scale, turn and move that fit them best."""
-    images = sorted((image for image in model.images.values() if image.has_pose), key=lambda i: i.name)
+    images = _placed(model)
     frames = np.array([int(image.name[:6]) for image in images])
     centre = np.array([image.projection_center() for image in images])
     camera = Rotation.from_matrix([image.cam_from_world().rotation.matrix().T for image in images])
@@ -354,6 +362,15 @@ def _in_world(
         frozen(scale * turn.apply(points) + moved),
         tracks,
     )
+
+
+def _placed(model: Any) -> list[Any]:
+    """Images of a model in the order of its frames, whose poses points of it give.
+
+    Mapping keeps images whose points it has all taken back, such as for too little parallax.
+    """
+    seen = (i for i in model.images.values() if i.has_pose and i.num_points3D >= _LEAST_POINTS)
+    return sorted(seen, key=lambda image: image.name)
 
 
 def _tracks(model: Any, images: Sequence[Any]) -> Tracks:
