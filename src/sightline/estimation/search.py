@@ -790,7 +790,7 @@ class Search:
         count = float(strengths.sum()) / strength
         strong = modes[strengths > COUNTS * strength]
         last = float(strong.max())
-        density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
+        density = mode_density(f, last, count)
         gain, information, exact = np.zeros(len(f)), np.zeros(len(f)), f.copy()
         within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes.tolist())
         within &= f * self._coarse < 1.0
@@ -1028,6 +1028,14 @@ def left_by_tdi(frequency: Array, tdi: Sequence[float]) -> Array:
     """Largest share of tones at frequencies (Hz) that averages over any of `tdi` (s) leave; 1 without any."""
     shares = [np.abs(np.sinc(frequency * each)) for each in tdi]
     return np.asarray(np.max(shares, axis=0)) if shares else np.ones(len(frequency))
+
+
+def mode_density(frequency: Array, last: float, count: float) -> Array:
+    """Modes per Hz at frequencies (Hz) beyond those that are seen, `count` up to the `last` (Hz).
+
+    Even up to an end whose scale is not known (`Search.hidden_tones`).
+    """
+    return np.asarray(count**2 / (count + 1.0) * last**count / np.maximum(frequency, last) ** (count + 1.0))
 
 
 def _third_moment(frequencies: Sequence[float], whole: float) -> float:

@@ -20,7 +20,15 @@ from scipy.linalg import matmul_toeplitz
 from scipy.special import kve
 
 from sightline.estimation.prior import Spectrum, Tone
-from sightline.estimation.search import HIDDEN_TO, HIGHEST, LEFT_BY_TDI, SAME_TONE, SELDOM, left_by_tdi
+from sightline.estimation.search import (
+    HIDDEN_TO,
+    HIGHEST,
+    LEFT_BY_TDI,
+    SAME_TONE,
+    SELDOM,
+    left_by_tdi,
+    mode_density,
+)
 from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import JointEstimate
 
@@ -139,7 +147,7 @@ def _odds(f: Array, evidence: Array, model: PriorModel, length: float) -> Array:
     if not known:
         return np.zeros(evidence.shape[1:])
     last, count = known[-1], float(1 + (np.diff(known) > 1.0).sum())
-    density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
+    density = mode_density(f, last, count)
     # of an exponential variance, in equal steps of its log
     share = 2.0 * math.log(SIZES[1] / SIZES[0]) * SIZES[:, None] ** 2
     likelier = np.exp(np.minimum(evidence, MOST_EVIDENCE)).mean(axis=0)
