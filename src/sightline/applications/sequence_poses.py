@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ from sightline.photogrammetry.flight.rig_solver import (
     solve_capture,
     solve_rig,
 )
+from sightline.photogrammetry.flight.rolling_shutter import first_line_pixels
 from sightline.photogrammetry.flight.solver import (
     Adjusted,
     SequenceSolver,
@@ -325,6 +327,10 @@ def _with_model(
 ) -> tuple[SequenceProblem, RefinedModel]:
     """The problem with attitudes where none are given, and the model of the subset they are of."""
     p, images = problem, problem.images
+    still = partial(
+        first_line_pixels,
+        followed=followed, t=p.t, readout_time=p.readout_time, shape=p.detector.shape,
+    )  # fmt: skip
     run.progress(MODELLED, 0, 1)
     model = run.stages.stage(
         "photogrammetry", FrameModel,
@@ -332,6 +338,7 @@ def _with_model(
             p.sources, subset.frames,
             filter_pairs(subset.frames, followed, p.detector, images.position, _reach(problem)),
             p.detector, p.mount, images.position, p.known.along_world(), p.radii,
+            at_first_line=still if p.readout_time != 0.0 else None,
         ),
     )  # fmt: skip
     run.progress(MODELLED, 1, 1)

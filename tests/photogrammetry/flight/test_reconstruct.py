@@ -177,6 +177,21 @@ def test_a_flight_begins_with_a_model_of_its_subset(flight, blind):
         assert (np.abs((error * far[:, None]).mean(axis=0)) < 4.0 * poses.bow[0]).all()
 
 
+def test_a_model_of_a_rolling_shutter_is_as_high_as_its_sigma_says():
+    pytest.importorskip("pycolmap")
+    still = sequence_case("small", 2, filter="pan", frames=16, overlap=0.8)
+    # read out over half of the time to the next frame: ground is 10 % shorter in a frame than it is
+    step = float(np.median(np.diff(still.poses[0])))
+    flight = sequence_case("small", 2, filter="pan", frames=16, overlap=0.8, readout_time=0.5 * step)
+    model = georeference_sequence(problem_of(flight, blind=True)).model
+    assert model is not None
+    error = model.poses.position - flight.poses[1][model.frames]
+    sigma = np.sqrt(np.diagonal(model.poses.covariance, axis1=1, axis2=2))[:, :3]
+    # errors of the tables' places are one draw per axis; heights are 11 sigmas off if all lines are taken
+    # to be exposed at once
+    assert (np.abs(error.mean(axis=0)) < 3.0 * sigma.mean(axis=0)).all()
+
+
 def test_without_pycolmap_one_clear_error_and_flights_with_attitudes_run(monkeypatch):
     flight = sequence_case("small", 4, frames=6)
     monkeypatch.setitem(sys.modules, "pycolmap", None)

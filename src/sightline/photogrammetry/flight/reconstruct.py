@@ -9,7 +9,7 @@ Not here: which frames (``subset.py``), the adjustment (``poses.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -192,6 +192,7 @@ def reconstruct(
     radii: tuple[float, float] | None = None,
     *,
     enlarged: bool | None = None,
+    at_first_line: Callable[[Index, Array], Array] | None = None,
 ) -> FrameModel:
     """A model of the frames of a subset.
 
@@ -214,6 +215,9 @@ def reconstruct(
     enlarged : bool, optional
         Search features at twice the size of frames, as pycolmap does: more of them, at five times the cost.
         Small frames are, large ones not, otherwise.
+    at_first_line : callable, optional
+        Pixels (N, 2) of frames (N,) as if all lines were exposed with the first: of a rolling shutter.
+        Mapping knows none, and would take its stretch and shear for other heights and views.
 
     Raises
     ------
@@ -225,7 +229,9 @@ def reconstruct(
     pycolmap = check_modelling(sigma[frames])
     enlarged = min(detector.shape) < _LARGE if enlarged is None else enlarged
     with scratch_folder() as folder:
-        model = _mapped(pycolmap, folder, sources, frames, pairs, detector, position, sigma, enlarged)
+        model = _mapped(
+            pycolmap, folder, sources, frames, pairs, detector, position, sigma, enlarged, at_first_line
+        )
     placed = 0 if model is None else len(_placed(model))
     if placed < 3:
         lines, columns = np.degrees(
@@ -251,6 +257,7 @@ def _mapped(
     position: Array,
     sigma: Array,
     enlarged: bool,
+    at_first_line: Callable[[Index, Array], Array] | None,
 ) -> Any:
     """The largest model, or None."""
     names = {int(k): f"{k:06d}.png" for k in frames}
@@ -281,6 +288,8 @@ def _mapped(
         extraction,
         pycolmap.Device.cpu,
     )
+    if at_first_line is not None:
+        _move_features(pycolmap, database, names, at_first_line)
     listed = folder / "pairs.txt"
     listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in pairs))
     pairing = pycolmap.ImportedPairingOptions()
@@ -301,6 +310,20 @@ def _mapped(
     options.use_prior_position = True
     models = pycolmap.incremental_mapping(database, folder, folder, options)
     return max(models.values(), key=lambda m: m.num_reg_images(), default=None)
+
+
+def _move_features(
+    pycolmap: Any, database: Path, names: dict[int, str], moved: Callable[[Index, Array], Array]
+) -> None:
+    """Features of all frames at `moved` pixels."""
+    with pycolmap.Database.open(str(database)) as store:
+        for k, name in names.items():
+            image = store.read_image_with_name(name).image_id
+            features = store.read_keypoints(image)
+            # theirs are (column, line), counted from the corner of the first
+            pixels = moved(np.full(len(features), k), features[:, 1::-1].astype(np.float64) - 0.5)
+            features[:, :2] = pixels[:, ::-1] + 0.5
+            store.update_keypoints(image, features)
 
 
 def _line_gain(sources: Sequence[ImageSource], frames: Index, detector: AreaDetector) -> NDArray[np.float32]:

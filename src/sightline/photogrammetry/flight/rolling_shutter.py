@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array, frozen
+from sightline.matching.follow import Followed
 from sightline.photogrammetry.flight.path import path_turns, stretches
 from sightline.photogrammetry.sightings import Images, Index, Sightings
 
@@ -26,6 +27,43 @@ _TURNED = 0.5
 def line_delays(lines: Array, readout_time: float, shape: tuple[int, int]) -> Array:
     """s (N,) from the exposure of a frame's first line to those of `lines`, fractions allowed."""
     return np.asarray(readout_time * lines / (shape[0] - 1.0))
+
+
+def first_line_pixels(
+    image: Index, pixels: Array, followed: Followed, t: Array, readout_time: float, shape: tuple[int, int]
+) -> Array:
+    """Pixels (N, 2) where points would be if all lines were exposed with the first, by how frames move.
+
+    Relief apart, whose share of the motion within a frame is not known yet.
+
+    Parameters
+    ----------
+    image : (N,) int
+        Frame in which each was seen.
+    pixels : (N, 2)
+    followed : Followed
+        How the M frames moved.
+    t : (M,)
+        s, of their first lines.
+    readout_time : float
+        s from the exposure of the first line to that of the last.
+    shape : (int, int)
+    """
+    rate = np.zeros((len(t), 4))
+    weight = np.zeros(len(t))
+    for k in np.flatnonzero(followed.before >= 0):
+        each = followed.motion[k] / (t[k] - t[followed.before[k]])
+        for frame in (int(k), int(followed.before[k])):
+            rate[frame] += each
+            weight[frame] += 1.0
+    rate /= np.maximum(weight, 1.0)[:, None]
+    moved = rate[image] * line_delays(pixels[:, 0], readout_time, shape)[:, None]
+    x = pixels - 0.5 * (np.array(shape) - 1.0)
+    turn, growth = moved[:, 2], moved[:, 3]
+    shift = moved[:, :2] + np.stack(
+        [growth * x[:, 0] - turn * x[:, 1], turn * x[:, 0] + growth * x[:, 1]], axis=1
+    )
+    return np.asarray(pixels - shift)
 
 
 def line_poses(

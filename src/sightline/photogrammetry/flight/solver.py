@@ -20,7 +20,11 @@ from sightline.photogrammetry.flight.cross_links import CrossPlan
 from sightline.photogrammetry.flight.poses import FramePoses, adjust_frames
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 from sightline.photogrammetry.flight.readout import ReadoutChange
-from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines, line_delays
+from sightline.photogrammetry.flight.rolling_shutter import (
+    as_of_first_lines,
+    first_line_pixels,
+    line_delays,
+)
 from sightline.photogrammetry.flight.start import approached
 from sightline.photogrammetry.flight.track_noise import with_drift, with_scatter
 from sightline.photogrammetry.pair.relief import points_alike
@@ -180,7 +184,9 @@ class SequenceSolver:
         priors = self.priors(tracks)
         tracks = self.with_control(tracks)
         if p.readout_time != 0.0 and before is None:
-            still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
+            still = first_line_pixels(
+                tracks.image, tracks.pixels, self.followed, p.t, p.readout_time, p.detector.shape
+            )
             tracks = replace(tracks, pixels=still)
         sightings = sight_frames(p.images, [detector], [p.mount], tracks)
         near = sightings if p.start is None else sight_frames(p.start, [detector], [p.mount], tracks)
@@ -259,31 +265,6 @@ def _alike_heights(problem: SequenceProblem, tracks: Tracks) -> float:
     side = float(np.nanmedian(ground_distances(problem))) / problem.detector.focal_length_px
     area = float(np.prod(problem.detector.shape)) * side**2
     return points_alike((met - met.mean(axis=0)) @ np.concatenate([east, north]).T, area)
-
-
-def first_line_pixels(
-    tracks: Tracks, followed: Followed, t: Array, readout_time: float, shape: tuple[int, int]
-) -> Array:
-    """Pixels (N, 2) where points would be if all lines were exposed with the first, by how frames move.
-
-    Relief apart, whose share of the motion within a frame is not known yet.
-    """
-    rate = np.zeros((len(t), 4))
-    weight = np.zeros(len(t))
-    for k in np.flatnonzero(followed.before >= 0):
-        each = followed.motion[k] / (t[k] - t[followed.before[k]])
-        for frame in (int(k), int(followed.before[k])):
-            rate[frame] += each
-            weight[frame] += 1.0
-    rate /= np.maximum(weight, 1.0)[:, None]
-    delay = line_delays(tracks.pixels[:, 0], readout_time, shape)
-    moved = rate[tracks.image] * delay[:, None]
-    x = tracks.pixels - 0.5 * (np.array(shape) - 1.0)
-    turn, growth = moved[:, 2], moved[:, 3]
-    shift = moved[:, :2] + np.stack(
-        [growth * x[:, 0] - turn * x[:, 1], turn * x[:, 0] + growth * x[:, 1]], axis=1
-    )
-    return np.asarray(tracks.pixels - shift)
 
 
 def _on_surface(sightings: Sightings, problem: SequenceProblem) -> Array:
