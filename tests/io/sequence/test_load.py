@@ -209,6 +209,19 @@ def test_the_nose_is_along_each_line_up_to_its_ends():
     np.testing.assert_allclose(forward, np.repeat([[0, 1.0, 0], [0, -1.0, 0]], 20, axis=0), atol=1e-12)
 
 
+def test_the_nose_of_bursts_that_noise_hides_and_of_single_frames_is_along_the_flight():
+    # three frames in .2 s at 10 m/s every 5 s, known to 1 m; then one frame in 40 s between two lines
+    rng = np.random.default_rng(0)
+    t = (5.0 * np.arange(20)[:, None] + 0.1 * np.arange(3)).ravel()
+    places = np.column_stack([0.0 * t, 10.0 * t, 0.0 * t]) + rng.standard_normal((60, 3))
+    forward = track_attitude(t, places, np.ones((60, 3)), None).apply([1.0, 0, 0])
+    assert np.median(forward[:, 1]) > 0.99
+    t = np.concatenate([np.arange(20.0), [60.0], 100.0 + np.arange(20.0)])
+    places = np.column_stack([5.0 * t, 0.0 * t, 0.0 * t])
+    forward = track_attitude(t, places, np.full((41, 3), 0.1), None).apply([1.0, 0, 0])
+    np.testing.assert_allclose(forward, [[1.0, 0, 0]] * 41, atol=1e-12)
+
+
 def test_without_any_poses_control_points_are_said_to_tell_the_place(tmp_path):
     made = flight()
     made.toml = made.toml.replace('positions = "positions.csv"\nattitudes = "attitudes.csv"\n', "")

@@ -209,11 +209,14 @@ def track_attitude(t: Array, position: Array, sigma: Array, radii: tuple[float, 
     """
     up, _, north = level_axes(position, radii)
     number = stretches(t)
-    # the way from the end of one line to the beginning of the next is no track
     first, last = (np.searchsorted(number, number, side=side) for side in ("left", "right"))
     count, at = len(t), np.arange(len(t))
     known = sigma[np.isfinite(sigma)]
     apart = _HEADING_SIGMAS * float(np.median(known)) if len(known) else 0.0
+    # the way from the end of one line to the beginning of the next is no track; bursts have none of their own
+    gone = np.linalg.norm(position - position[first], axis=1)
+    own = np.maximum.reduceat(gone, np.unique(first))[number] > apart
+    first, last = np.where(own, first, 0), np.where(own, last, count)
     half = 1
     while True:
         move = position[np.minimum(at + half, last - 1)] - position[np.maximum(at - half, first)]

@@ -239,7 +239,7 @@ def reconstruct(
         )
         raise EstimationError(
             f"photogrammetry on {len(frames)} frames gave no model: {placed} of them share {_LEAST_POINTS} "
-            "points with depth or more, 3 are needed; they are too little alike, show too little, or see too "
+            "points or more with depth, 3 are needed; they are too little alike, show too little, or see too "
             f"narrow a field for depth ({lines:.2g} x {columns:.2g} degrees); raise `overlap`, or give "
             "attitudes"
         )
