@@ -782,15 +782,10 @@ class Search:
             return (), ()
         now = self.posterior(model)
         sizes = np.array([variance_at(now, m) for m in modes])
-        strengths = sizes * modes**3
-        if not strengths.sum() > 0.0:
+        if not sizes.sum() > 0.0:
             return (), ()
-        # small ones, some of them no modes, count for little
-        strength = float((strengths**2).sum() / strengths.sum())
-        count = float(strengths.sum()) / strength
-        strong = modes[strengths > COUNTS * strength]
-        last = float(strong.max())
-        density = mode_density(f, last, count)
+        strength, count, strong = seen_modes(modes, sizes)
+        density = mode_density(f, count, strong)
         gain, information, exact = np.zeros(len(f)), np.zeros(len(f)), f.copy()
         within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes.tolist())
         within &= f * self._coarse < 1.0
@@ -1030,11 +1025,22 @@ def left_by_tdi(frequency: Array, tdi: Sequence[float]) -> Array:
     return np.asarray(np.max(shares, axis=0)) if shares else np.ones(len(frequency))
 
 
-def mode_density(frequency: Array, last: float, count: float) -> Array:
-    """Modes per Hz at frequencies (Hz) beyond those that are seen, `count` up to the `last` (Hz).
+def seen_modes(frequency: Array, variance: Array) -> tuple[float, float, Array]:
+    """Strength (variance times Hz^3) of modes that are seen, how many they count for, and the strong ones.
+
+    Small ones, some of them no modes, count for little.
+    """
+    strengths = variance * frequency**3
+    strength = float((strengths**2).sum() / strengths.sum())
+    return strength, float(strengths.sum()) / strength, frequency[strengths > COUNTS * strength]
+
+
+def mode_density(frequency: Array, count: float, strong: Array) -> Array:
+    """Modes per Hz at frequencies (Hz) beyond those that are seen, of their `count` up to the last strong.
 
     Even up to an end whose scale is not known (`Search.hidden_tones`).
     """
+    last = strong.max()
     return np.asarray(count**2 / (count + 1.0) * last**count / np.maximum(frequency, last) ** (count + 1.0))
 
 

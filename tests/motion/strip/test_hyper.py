@@ -548,6 +548,32 @@ def test_noise_shows_no_hidden_mode_nor_is_one_looked_for_that_stages_leave() ->
     assert hidden.with_shown_mode(model, plain, (0.0, 0.6), AVERAGED) is model
     mute = replace(model, blur_shows=False)
     assert hidden.with_shown_mode(mute, plain, (0.0, 0.6), AVERAGED) is mute
+    # 32 stages hide a mode in a third of strips and more: where, rows of 20 px do not tell
+    deaf = [shown_by_noisy_instants(np.zeros((600, 3)), 20.0, seed) for seed in range(5)]
+    odds = [hidden.likely_modes(model, one, (0.0, 0.6), (16e-3,), np.zeros(3))[1].sum() for one in deaf]
+    assert min(odds) > 0.5
+    assert all(hidden.with_shown_mode(model, one, (0.0, 0.6), (16e-3,)) is model for one in deaf)
+
+
+def test_modes_that_each_axis_sees_beside_its_place_count_once_and_faint_tones_for_nothing() -> None:
+    # .2 s resolve 5 Hz: 46 to 49 Hz are one mode
+    grid = SimpleNamespace(grid=TimeGrid(0.0, STEP, 200))
+    broad = LOUD_SPECTRA[0].components[:2]
+
+    def chance(*tones: tuple[Tone, ...]) -> float:
+        roll, pitch, yaw = (Spectrum((*broad, *of_axis)) for of_axis in tones)
+        model = PriorModel((roll, pitch, yaw), blur_shows=False)
+        return float(hidden.likely_modes(model, grid, (0.0, 0.2), AVERAGED, np.zeros(3))[1].sum())
+
+    one = (Tone(0.3, 47.0, 0.1),)
+    faint = (*one, Tone(0.01, 96.0, 0.1))
+    apart = chance((Tone(0.3, 45.9, 0.1),), one, (Tone(0.3, 49.0, 0.1),))
+    assert apart == pytest.approx(chance(one, one, one), rel=0.1)
+    assert chance(faint, faint, faint) == pytest.approx(chance(one, one, one), rel=0.1)
+    # half a mode lies beyond 47 Hz, 47 / f of that beyond f: stages leave little of 108 to 149 Hz, and of 213
+    # to the 300 Hz that steps of 1 ms show
+    expected = 0.5 * 47.0 * (1.0 / 108.0 - 1.0 / 149.0 + 1.0 / 213.0 - 1.0 / 300.0)
+    assert chance(one, one, one) == pytest.approx(expected, rel=0.1)
 
 
 def test_a_mode_that_others_let_expect_is_taken_though_chance_might_show_as_much(monkeypatch) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
@@ -83,6 +83,8 @@ def test_modes_that_stages_hide_and_rows_do_not_tell_of_are_named_where_sigma_ho
     strip = SimpleNamespace(
         scale=np.full(3, pixel),
         nominal=[SimpleNamespace(stage_times=(8e-3,)), SimpleNamespace(stage_times=(8e-3,))],
+        known=KnownContent(),
+        turn=np.eye(3),
     )
     seen = (Tone(pixel * 0.25, 47.0, 0.1), Tone(pixel * 0.2, 83.0, 0.1))
     loud = Spectrum((Matern(pixel, 1.0, "5/2"), Matern(0.1 * pixel, 0.01, "3/2"), *seen))
@@ -104,18 +106,35 @@ def test_modes_that_stages_hide_and_rows_do_not_tell_of_are_named_where_sigma_ho
 
     (said,) = _hidden_by_stages(strip, state(20.0), motion)
     assert "average away 1" in said and "by those of 47, 83 Hz" in said and "sigma holds none" in said
-    # two modes up to 83 Hz: 4 / 3 83^2 / f^3 in every Hz of which stages leave less than .15, up to four of
-    # their cycles; a few per cent of them smaller than sigma
-    f = np.arange(1.0, 500.0, 0.1)
-    odds = (4.0 / 3.0 * 83.0**2 / f**3 * 0.1)[np.abs(np.sinc(8e-3 * f)) < 0.15].sum()
+    # modes of s = .25^2 47^3 and .2^2 83^3 count for n = (sum s)^2 / sum s^2 = 1.5, of sum s^2 / sum s.
+    # Beyond them lie n^2 / (n + 1) 83^n / f^(n + 1) in every Hz of which stages leave less than .15, up to
+    # four of their cycles, of variances exponential about strength / f^3
+    f, s = np.arange(1.0, 500.0, 0.1), np.array([0.25, 0.2]) ** 2 * np.array([47.0, 83.0]) ** 3
+    n, strength = s.sum() ** 2 / (s @ s), s @ s / s.sum()
+    larger = np.exp(-(0.02**2) * f**3 / strength)
+    odds = (larger * n**2 / (n + 1.0) * 83.0**n / f ** (n + 1.0) * 0.1)[
+        np.abs(np.sinc(8e-3 * f)) < 0.15
+    ].sum()
     chance = float(said.split("probability ")[1].split(",")[0])
-    assert chance == pytest.approx(odds / (1.0 + odds), rel=0.15)
+    assert chance == pytest.approx(odds / (1.0 + odds), rel=0.08)
     # where rows cannot show them at all, it is all the same
     assert _hidden_by_stages(strip, state(20.0, blur_shows=False), motion)
     assert _hidden_by_stages(strip, state(0.02), motion) == []
     owned = state(20.0, unseen=((Tone(pixel, 121.0, 8.0),), (), ()))
     assert _hidden_by_stages(strip, owned, motion) == []
-    without = SimpleNamespace(scale=strip.scale, nominal=[*strip.nominal, SimpleNamespace(stage_times=())])
+    without = SimpleNamespace(**{**vars(strip), "nominal": [*strip.nominal, SimpleNamespace(stage_times=())]})
     assert _hidden_by_stages(without, state(20.0), motion) == []
     sure = SimpleNamespace(covariance=np.tile((3.0 * pixel) ** 2 * np.eye(3), (9, 1, 1)))
     assert _hidden_by_stages(strip, state(20.0), sure) == []
+    # roll of the estimate is pitch of the body, of a sigma of .02 px
+    faint = Spectrum((*loud.components[:2], Tone(1e-4 * pixel, 47.0, 0.1)))
+    about_roll = state(20.0, spectra=(loud, faint, faint))
+    one_axis = SimpleNamespace(covariance=motion.covariance * np.diag([1.0, 3e4, 1.0]))
+    across = SimpleNamespace(covariance=motion.covariance * np.diag([3e4, 1.0, 1.0]))
+    assert not _hidden_by_stages(strip, about_roll, across) and _hidden_by_stages(strip, about_roll, one_axis)
+    strip.turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert _hidden_by_stages(strip, about_roll, across) and not _hidden_by_stages(strip, about_roll, one_axis)
+    # spectra that are given hold what is hidden as they hold the rest
+    flat = (Spectrum((TabulatedPsd((0.0, 100.0), (1e-12, 1e-12)),)),) * 3
+    strip.known = KnownContent(spectra=flat)
+    assert _hidden_by_stages(strip, state(20.0, spectra=flat, blur_shows=False), motion) == []

@@ -28,6 +28,7 @@ from sightline.estimation.search import (
     SELDOM,
     left_by_tdi,
     mode_density,
+    seen_modes,
 )
 from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import JointEstimate
@@ -46,7 +47,7 @@ WIDEST = 0.1
 SIZES, CLOSELY = np.geomspace(0.05, 20.0, 13), 11
 #: Probability that chance shows one anywhere, and its width at first, in units of one over the length.
 CHANCE, BEGUN = 0.01, 0.3
-#: Odds of a mode, by rows and by modes that are seen, from which on it is taken for one all the same.
+#: Odds of a mode there, by rows and by modes that are seen, from which on it is taken for one all the same.
 LIKELY = SELDOM / (1.0 - SELDOM)
 #: So many amplitudes tell their variance by themselves.
 MANY = 30.0
@@ -70,17 +71,15 @@ def with_shown_mode(
     tdi : sequence of float
         s; over which the stages average.
     """
-    pieces = _pieces(estimate.grid.nodes, seen)
-    if not pieces or not model.blur_shows:
-        return model
-    length = _length(estimate, pieces)
-    f = _averaged_away(tdi, estimate, length)
-    if not len(f):
+    pieces, length, f = _averaged_away(estimate, seen, tdi)
+    if not len(f) or not model.blur_shows:
         return model
     evidence = _evidence(f, pieces, model, estimate)
     kind, size, place = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
-    chance = evidence[kind, size, place] < math.log(len(f) / CHANCE)
-    if chance and _odds(f, evidence, model, length).sum() < LIKELY:
+    odds = _odds(f, evidence, model, length).sum(axis=0)
+    there = np.abs(f - f[place]) < SAME_TONE / length
+    likely = odds[there].sum() >= LIKELY * (1.0 + odds[~there].sum())
+    if not likely and evidence[kind, size, place] < math.log(len(f) / CHANCE):
         return model
     near = f[place] + np.linspace(-0.5, 0.5, CLOSELY) / length
     evidence = _evidence(near, pieces, model, estimate)[kind]
@@ -122,11 +121,7 @@ def likely_modes(
     sizes : (n, 3)
         rad, rms of such modes in roll, pitch, yaw.
     """
-    pieces = _pieces(estimate.grid.nodes, seen)
-    if not pieces:
-        return np.zeros(0), np.zeros(0), np.zeros((0, 3))
-    length = _length(estimate, pieces)
-    f = _averaged_away(tdi, estimate, length)
+    pieces, length, f = _averaged_away(estimate, seen, tdi)
     if not len(f):
         return f, f, np.zeros((0, 3))
     evidence = _evidence(f, pieces, model, estimate)
@@ -137,29 +132,31 @@ def likely_modes(
     return f, odds.sum(axis=0), np.sqrt(mean)[:, None] * usual
 
 
+def _averaged_away(
+    estimate: JointEstimate, seen: tuple[float, float], tdi: Sequence[float]
+) -> tuple[list[slice], float, Array]:
+    """Pieces of a strip, their length (s), and what stages average away (Hz), half the resolution apart."""
+    pieces = _pieces(estimate.grid.nodes, seen)
+    if not pieces or not tdi:
+        return pieces, 0.0, np.zeros(0)
+    length = _length(estimate, pieces)
+    f = np.arange(1.0 / length, min(HIDDEN_TO / min(tdi), HIGHEST / estimate.grid.step), 0.5 / length)
+    return pieces, length, f[left_by_tdi(f, tdi) < LEFT_BY_TDI]
+
+
 def _odds(f: Array, evidence: Array, model: PriorModel, length: float) -> Array:
     """Odds (sizes, frequencies) of modes at `f` (Hz) against none, by the evidence of rows of a `length` (s).
 
-    Modes are as dense beyond the last that is seen as `Search.hidden_tones` has it; a mode of all axes is as
-    likely as one of any alone.
+    Modes are as dense beyond those that are seen as `Search.hidden_tones` has it, by the axis that lets most
+    expect; a mode of all axes is as likely as one of any alone.
     """
-    known = sorted(tone.frequency for one in model.spectra for tone in one.tones)
-    if not known:
+    dense = [mode_density(f, count, strong) for _, count, strong in filter(None, _seen(model))]
+    if not dense:
         return np.zeros(evidence.shape[1:])
-    last, count = known[-1], float(1 + (np.diff(known) > 1.0).sum())
-    density = mode_density(f, last, count)
     # of an exponential variance, in equal steps of its log
     share = 2.0 * math.log(SIZES[1] / SIZES[0]) * SIZES[:, None] ** 2
     likelier = np.exp(np.minimum(evidence, MOST_EVIDENCE)).mean(axis=0)
-    return np.asarray(density * (0.5 / length) * share * likelier)
-
-
-def _averaged_away(tdi: Sequence[float], estimate: JointEstimate, length: float) -> Array:
-    """Frequencies (Hz) that stages average away, half the resolution of `length` (s) apart."""
-    if not tdi:
-        return np.zeros(0)
-    f = np.arange(1.0 / length, min(HIDDEN_TO / min(tdi), HIGHEST / estimate.grid.step), 0.5 / length)
-    return f[left_by_tdi(f, tdi) < LEFT_BY_TDI]
+    return np.asarray(np.max(dense, axis=0) * (0.5 / length) * share * likelier)
 
 
 def _length(estimate: JointEstimate, pieces: Sequence[slice]) -> float:
@@ -200,13 +197,18 @@ def _usual(model: PriorModel, f: ArrayLike) -> Array:
     that.
     """
     loud = np.array([spectrum.components[1].sigma ** 2 for spectrum in model.spectra])
-    own = [np.array([tone.sigma**2 * tone.frequency**3 for tone in one.tones]) for one in model.spectra]
-    strength = np.array([one @ one / one.sum() if one.sum() > 0.0 else np.nan for one in own])
+    strength = np.array([math.nan if one is None else one[0] for one in _seen(model)])
     known = np.isfinite(strength)
     if not known.any():
         return np.sqrt(loud) * np.ones((*np.shape(f), 1))
     others = np.mean(strength[known] / loud[known])
     return np.sqrt(np.where(known, strength, others * loud) / np.asarray(f)[..., None] ** 3)
+
+
+def _seen(model: PriorModel) -> list[tuple[float, float, Array] | None]:
+    """`seen_modes` of each axis; None of one without any."""
+    tones = [np.array([(tone.frequency, tone.sigma**2) for tone in one.tones]) for one in model.spectra]
+    return [seen_modes(*one.T) if len(one) else None for one in tones]
 
 
 def _shown(

@@ -179,13 +179,14 @@ def _large_hidden(strip: Strip, state: StripState) -> list[str]:
 def _hidden_by_stages(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     """Modes larger than sigma that TDI may hide, where rows are too few, or too noisy, to show them.
 
-    None where something is known to be hidden: sigma holds what is likely of it.
+    None where something is known to be hidden: sigma holds what is likely of it, or spectra that are given.
     """
     averages = averaging_times(strip)
-    if not averages or any(state.model.unseen):
+    if not averages or any(state.model.unseen) or strip.known.spectra is not None:
         return []
     assert motion.covariance is not None
-    sigma = np.sqrt(np.median(np.diagonal(motion.covariance, axis1=1, axis2=2), axis=0))
+    own = strip.turn.T @ motion.covariance @ strip.turn  # about the axes of the spectra
+    sigma = np.sqrt(np.median(np.diagonal(own, axis1=1, axis2=2), axis=0))
     span = matched_span([record.star for record in state.records])
     f, odds, sizes = likely_modes(state.model, state.estimate, span, averages, sigma)
     if odds.sum() < WORTH_SAYING:
