@@ -186,6 +186,7 @@ def _longest_first(items) -> list[Any]:
     missing = [str(path) for path in places if not path.is_file()]
     if missing:
         raise pytest.UsageError(f"LONGEST of tests/conftest.py names no file: {', '.join(missing)}")
+    items = sorted(items, key=lambda item: item.path)  # the order in which both workers know them
     rank = {item: places.get(item.path, (len(LONGEST), 0)) for item in items}
     strips, others, short = (
         sorted((item for item in items if rank[item][0] == group), key=lambda item: rank[item])
@@ -228,8 +229,11 @@ def pytest_runtest_makereport(item, call):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_make_collect_report(collector):
+    """Of two workers the second reads folders from the end, and so finds half of all files compiled."""
     report = yield
     _refuse_skip(report)
+    if os.environ.get("PYTEST_XDIST_WORKER") == "gw1" and isinstance(collector, pytest.Directory):
+        report.result.reverse()
     return report
 
 
