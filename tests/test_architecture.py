@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -36,6 +37,16 @@ MODULES = sorted(set(FILES) - {"sightline"})
 @cache
 def tree_of(module: str) -> ast.Module:
     return ast.parse(FILES[module].read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def trees_kept_for_this_file_alone() -> Iterator[None]:
+    """Of the millions of objects of these trees none is a cycle; to look for some takes longer than to parse."""
+    gc.disable()
+    yield
+    gc.enable()
+    for kept in (tree_of, nodes, imports):
+        kept.cache_clear()
 
 
 @cache

@@ -252,17 +252,27 @@ def measured(script: Path) -> set[Path]:
 @functools.cache
 def _imported(path: Path) -> frozenset[Path]:
     """Files of this repository that one imports, inside functions too, but for types alone."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            node.body = []
     names = set()
-    for node in ast.walk(tree):
+    for node in _import_statements(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+        elif node.module and not node.level:
             names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     return frozenset(filter(None, map(_file, names)))
+
+
+def _import_statements(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Those below a node, but for types alone; expressions, which hold none, are not looked through."""
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        yield node
+        return
+    parts = ["body", "orelse", "finalbody", "handlers", "cases"]
+    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        parts.remove("body")
+    for part in parts:
+        below = getattr(node, part, ())
+        for inner in below if isinstance(below, list) else ():  # of an expression these are no lists
+            yield from _import_statements(inner)
 
 
 def _file(module: str) -> Path | None:
