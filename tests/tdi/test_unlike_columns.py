@@ -89,20 +89,20 @@ def by_hand(of_column: list[Law], scan: ScanColumns, signals: np.ndarray, whole:
             np.abs(drift_transfer(stages, ratio, *motion, *f, head)) for f in ((0.5, 0), (0, 0.5))
         )
         mtf = 0.04 * across * along
-        for s, electrons in enumerate(signals):
-            bright = min(np.floor(electrons) + 1.0, SIGNALS[-1]) if whole else electrons
-            variance, collected, total, fullest = (np.zeros(len(stages)) for _ in range(4))
-            for k in range(int(stages.max())):
-                length = np.where(k < stages, 0.25 if k < 2 else ratio, 0.0)
-                line = electrons * length / 0.25
-                noise = law.gain * line**2 + law.shot * line + law.dark * length + law.read**2
-                variance += np.where(length > 0.0, noise, 0.0)
-                collected += line
-                filled = (bright / 0.25 + law.dark) * length
-                total += filled
-                fullest = np.maximum(fullest, filled)
-            merit[c, s] = mtf * collected / np.sqrt(variance + law.output**2)
-            holds[c, s] = (fullest <= law.line) & (total <= law.total)
+        electrons = signals[:, None]
+        bright = np.minimum(np.floor(electrons) + 1.0, SIGNALS[-1]) if whole else electrons
+        variance, collected, total, fullest = (np.zeros((len(signals), len(stages))) for _ in range(4))
+        for k in range(int(stages.max())):
+            here = k < stages
+            length = np.where(here, 0.25 if k < 2 else ratio, 0.0)[here]
+            line = electrons * length / 0.25
+            variance[:, here] += law.gain * line**2 + law.shot * line + law.dark * length + law.read**2
+            collected[:, here] += line
+            filled = (bright / 0.25 + law.dark) * length
+            total[:, here] += filled
+            fullest[:, here] = np.maximum(fullest[:, here], filled)
+        merit[c] = mtf * collected / np.sqrt(variance + law.output**2)
+        holds[c] = (fullest <= law.line) & (total <= law.total)
         drift = max(abs(motion[0] * np.tan(motion[1])), abs(motion[0] - 1.0))
         holds[c] &= stages * 0.5 * drift <= 1.0
     return merit, holds
