@@ -41,7 +41,7 @@ def tree_of(module: str) -> ast.Module:
 
 @pytest.fixture(scope="module", autouse=True)
 def trees_kept_for_this_file_alone() -> Iterator[None]:
-    """Of the millions of objects of these trees none is a cycle; to look for some takes longer than to parse."""
+    """Trees are millions of objects without a cycle: to look for some takes longer than to parse."""
     gc.disable()
     yield
     gc.enable()

@@ -20,7 +20,6 @@ from sightline.motion.strip.strip import RecoverOptions
 
 #: rad/s; between PAN and B1, 0.15 s apart, this is 30 px, and the first search goes 8 px far.
 RAMP = np.array([0.0, 200.0 * 5e-6, 0.0])
-TWO_PASSES = RecoverOptions(passes=2)
 ONE_PASS = RecoverOptions(passes=1)
 
 
@@ -90,7 +89,7 @@ def test_a_motion_beyond_the_search_loses_the_long_lags_without_sensors(turning)
 def test_a_gyro_leads_the_matches_and_a_tracker_gives_the_constant(turning):
     rng = np.random.default_rng(5)
     sensors = [gyro(turning.truth, rng, 0.05 * 5e-6), tracker(turning.truth, rng, 3.0 * 5e-6)]
-    result = recover_line_of_sight(turning.bands, turning.surface, sensors=sensors, options=TWO_PASSES)
+    result = recover_line_of_sight(turning.bands, turning.surface, sensors=sensors, options=ONE_PASS)
     score = score_motion(
         result.motion.t,
         result.motion.angles,
@@ -159,7 +158,7 @@ def test_one_wrong_reading_does_not_spoil_what_the_images_tell(turning):
         turning.surface,
         sensors=[replace(wrong_gyro, angles=angles)],
         control_points=replace(points, pixels=pixels),
-        options=TWO_PASSES,
+        options=ONE_PASS,
     )
     # 60 px believed would be hundreds of sigmas
     for axis in score_result(result, truth.t, truth.angles).axes.values():
