@@ -73,33 +73,30 @@ def frames():
 
 
 @pytest.fixture(scope="module")
-def case(frames):
+def stages(tmp_path_factory):
+    """Those of `case`, kept."""
+    folder = tmp_path_factory.mktemp("stages")
+    return folder, Stages(folder)
+
+
+def recovered(frames, stages):
+    return recover_spin_attitude(
+        frames, Infinity(), nominal_spin(), lens=LensKnowledge(0.6, 0.0, 0.0), chip=CHIP,
+        attitude_sigma=AttitudeSigma(0.0, 0.0), options=OPTIONS, stages=stages,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def case(frames, stages):
     """Truth, and what was recovered of it."""
-    truth, spin = truth_of(0), nominal_spin()
-    lens = LensKnowledge(0.6, 0.0, 0.0)
-    result = recover_spin_attitude(
-        frames,
-        Infinity(),
-        spin,
-        lens=lens,
-        chip=CHIP,
-        attitude_sigma=AttitudeSigma(0.0, 0.0),
-        options=OPTIONS,
-    )
-    return truth, result
+    return truth_of(0), recovered(frames, stages[1])
 
 
-def test_matches_of_passes_that_were_kept_give_the_same_bits(frames, case, tmp_path):
-    def recovered(stages):
-        return recover_spin_attitude(
-            frames, Infinity(), nominal_spin(), lens=LensKnowledge(0.6, 0.0, 0.0), chip=CHIP,
-            attitude_sigma=AttitudeSigma(0.0, 0.0), options=OPTIONS, stages=stages,
-        )  # fmt: skip
-
-    kept, again = Stages(tmp_path), Stages(tmp_path)
-    recovered(kept)
-    resumed = recovered(again)
-    assert again.found == kept.computed and not again.computed
+def test_matches_of_passes_that_were_kept_give_the_same_bits(frames, case, stages):
+    folder, kept = stages
+    again = Stages(folder)
+    resumed = recovered(frames, again)
+    assert kept.computed and again.found == kept.computed and not again.computed
     assert np.array_equal(resumed.motion.angles, case[1].motion.angles)
     assert np.array_equal(resumed.absolute_sigma, case[1].absolute_sigma)
 
