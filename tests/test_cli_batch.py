@@ -251,16 +251,19 @@ def plain(path: Path) -> object:
     return [line for line in path.read_bytes().splitlines() if b"CREATION_DATE" not in line]
 
 
-def test_processes_write_what_the_commands_themselves_write(recovery, stereo, capfd):
-    strip = str(recovery.scene / "acquisition.toml")
-    assert run(["batch", strip, "pass/stereo.toml", "--out", "out", "--workers", "2"]) == 0
+def test_processes_write_what_the_commands_themselves_write(stereo, capfd):
+    few = "--case frames --frames 3 --set interval=4".split()
+    assert run(["simulate", "line-of-sight", *few, "--out", "photographs"]) == 0
+    photographs = "photographs/acquisition.toml"
+    assert run(["recover", photographs, "--out", "recovered"]) == 0
+    assert run(["batch", photographs, "pass/stereo.toml", "--out", "out", "--workers", "2"]) == 0
     assert run("orient pass/stereo.toml --out own".split()) == 0
     assert run("orient pass/stereo.toml --out elsewhere --workers process:1".split()) == 0
     said = capfd.readouterr().out  # a process of its own says what it has to say itself
     assert "elsewhere/orientation.csv" in said and "own/orientation.csv" in said
-    recovered = {"acquisition", recovery.scene.name} & {path.name for path in Path("out").iterdir()}
+    (recovered,) = {"acquisition", "photographs"} & {path.name for path in Path("out").iterdir()}
     pairs = [
-        (recovery.folder, Path("out", *recovered)), (Path("own"), Path("out/stereo")),
+        (Path("recovered"), Path("out", recovered)), (Path("own"), Path("out/stereo")),
         (Path("own"), Path("elsewhere")),
     ]  # fmt: skip
     for own, other in pairs:
