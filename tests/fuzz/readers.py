@@ -466,7 +466,11 @@ for _name, _seed, _targets, _words, _check in (
     ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
     ("tdi", "tdi", "tdi.toml *s.csv noise.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
-    ("tdi --signals", "tdi", "t*.toml s*", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
+    # pictures of a target, seconds each, are made of the row above
+    (
+        "tdi --signals", "tdi", "t*.toml s*",
+        "tdi @tdi.toml --signals @signals.npy --no-pictures --out @out", "",
+    ),
     ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
     ("layout", "instrument", "*", "layout @instrument.toml --passband 40 150 --out @out", ""),
     ("recover", "level", "*", "recover @acquisition.toml --out @out", "acquisition.toml"),
@@ -501,7 +505,7 @@ for _seed, _words in (
     ("recovered", "register @acquisition.toml --motion @result --out @out"),
     ("pair", "orient @stereo.toml --out @out"),
     ("flown", "georeference @sequence.toml --out @out"),
-    ("tdi", "tdi @tdi.toml --out @out"),
+    ("tdi", "tdi @tdi.toml --no-pictures --out @out"),
     ("instrument", "layout @instrument.toml --passband 40 150"),
     ("recovered", "export @result --to quaternions --out @out"),
     ("recovered", "score @result @truth.csv"),
