@@ -30,7 +30,7 @@ ABOUT = {
     "sentinel2_bands": "s2_l1b_bands",
 }
 #: How many of the files of a set an example is given here: enough for all that it does.
-FEW = {"iss_stereo": ("photo_*.jpg", 5), "sentinel2_bands": ("*.tif", 1)}
+FEW = {"iss_stereo": ("photo_*.jpg", 3), "sentinel2_bands": ("*.tif", 1)}
 
 
 @pytest.fixture
