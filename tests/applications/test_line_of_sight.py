@@ -331,7 +331,7 @@ class TestWide:
     """Strips with drafts of fewer windows than they have."""
 
     def test_the_result_is_bitwise_the_same_on_any_number_of_threads(self, monkeypatch):
-        bands = line_of_sight_case("nominal", 5, lines=240, columns=320).as_given()
+        bands = line_of_sight_case("nominal", 5, lines=240, columns=320).as_given()[:3]
         results = []
         for threads in (1, 3):
             monkeypatch.setattr(execution, "available_processors", lambda threads=threads: threads)

@@ -33,7 +33,7 @@ def scored(strip, surface, height_sigma, passes):
 def owned(strip):
     """Score over a plane whose heights are known to the sigma that is true."""
     heights = strip[0].scene.relief.heights
-    return scored(strip, Plane(float(heights.mean())), float(heights.std()), passes=2)
+    return scored(strip, Plane(float(heights.mean())), float(heights.std()), passes=1)
 
 
 def test_a_small_height_sigma_that_matters_only_once_matches_are_dense_is_taken():
@@ -48,7 +48,7 @@ def test_a_small_height_sigma_that_matters_only_once_matches_are_dense_is_taken(
 
 def test_relief_left_out_must_be_owned_by_the_sigma(strip, owned):
     plane = Plane(float(strip[0].scene.relief.heights.mean()))
-    ignored = scored(strip, plane, 0.0, passes=2)
+    ignored = scored(strip, plane, 0.0, passes=1)
     # the score's own 95 % bounds for so many independent samples
     for name in ("roll", "yaw"):
         assert getattr(ignored, name).nees > getattr(ignored, name).nees_high
@@ -65,7 +65,7 @@ def test_relief_left_out_must_be_owned_by_the_sigma(strip, owned):
 def test_ground_known_to_a_kilometre_is_recovered_beside_the_motion(strip, owned):
     plane = Plane(float(strip[0].scene.relief.heights.mean()))
     # the bands look ahead of each other: some see ground before the first band's first line
-    loose = scored(strip, plane, 1e3, passes=2)
+    loose = scored(strip, plane, 1e3, passes=1)
     for name in ("roll", "yaw"):  # which unknown heights hardly touch: as well as with the sigma that is true
         assert getattr(loose, name).rms < 1.2 * getattr(owned, name).rms
         assert getattr(loose, name).nees < getattr(loose, name).nees_high
