@@ -109,15 +109,16 @@ def test_a_body_given_in_other_axes_moves_the_same(tmp_path):
     Both are estimated about the line of sight: less what is hidden they differ by far less than a sigma.
     """
     scenario = instrument_case("pushbroom", 1, lines=400, columns=220)
-    images = [ArrayImage(scenario.image(k)) for k in range(4)]
+    images = [ArrayImage(scenario.image(k)) for k in range(3)]
     turn = Rotation.from_rotvec([0.35, 0.0, 0.0])
 
     def solved(cameras):
         bands = [Band(f"b{k}", i, c, 1.0, 3e-4) for k, (i, c) in enumerate(zip(images, cameras, strict=True))]
         return recover_line_of_sight(bands, Ellipsoid(), options=RecoverOptions(passes=1))
 
-    along = solved(scenario.nominal_cameras)
-    tilted = solved([in_axes(camera, turn) for camera in scenario.nominal_cameras])
+    cameras = scenario.nominal_cameras[:3]
+    along = solved(cameras)
+    tilted = solved([in_axes(camera, turn) for camera in cameras])
     # body axes of the second are those of the first turned by `turn`
     back = tilted.motion.angles @ turn.as_matrix().T
     moved = less_directions(back - along.motion.angles, along.hidden, along.scale)
@@ -131,7 +132,7 @@ def test_a_wrong_given_spin_is_a_drift_that_the_motion_takes(tmp_path):
     given = replace(scenario.spin, rate=1.005 * scenario.spin.rate, axis=[1e-3, 1.0, 0.0])
     write_instrument(replace(scenario, spin=given), tmp_path)
     acquired = load_acquisition(tmp_path / "acquisition.toml")
-    quick = replace(acquired, matching={**acquired.matching, "passes": 2})
+    quick = replace(acquired, matching={**acquired.matching, "passes": 1})
     result = recover_acquisition(quick, silent)
     t, true = scenario.truth[:, 0], scenario.spin
     departed = given.at(t).inv() * true.at(t) * Rotation.from_rotvec(scenario.truth[:, 1:])
