@@ -70,9 +70,9 @@ def judged_tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> JudgedTo
 
 def _with_error_of_motion(result: LineOfSight, tones: Sequence[DetectedTone]) -> list[DetectedTone]:
     step, angles = evenly_detrended(result.motion)
-    weights = np.concatenate([_weights(result, tone, step, angles) for tone in tones], axis=2)
-    variance = np.diag(_functional_covariance(result, weights)).reshape(len(tones), 2)
-    error = np.sqrt(variance) / [1.0, 2.0 * math.pi]
+    # tone by tone: of a long strip weights of all at once are most of what is in memory
+    of_each = (_functional_covariance(result, _weights(result, tone, step, angles)) for tone in tones)
+    error = np.sqrt([np.diag(covariance) for covariance in of_each]) / [1.0, 2.0 * math.pi]
     return [
         replace(
             tone,
