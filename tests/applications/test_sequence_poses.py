@@ -17,6 +17,7 @@ from sightline.applications.sequence_poses import SequencePoses, georeference_se
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.imaging.source import ArrayImage
+from sightline.photogrammetry.block.descent import DivergedError
 from sightline.photogrammetry.flight.interpolation import between_anchors, by_displacement
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
@@ -170,6 +171,25 @@ def test_a_rolling_shutter_tells_nothing_of_where_a_flight_lies():
         assert_covered(scenario, found)
         sigma.append(np.sqrt(np.einsum("kii->ki", found.poses.covariance)).mean(axis=0))
     np.testing.assert_allclose(sigma[1], sigma[0], rtol=0.03)
+
+
+def test_a_model_whose_poses_do_not_come_together_is_solved_as_of_cameras_that_look_down(monkeypatch):
+    pytest.importorskip("pycolmap")
+    problem = problem_of(sequence_case("small", 3, filter="pan", frames=10, overlap=0.85))
+    nothing = replace(problem.known, attitude=np.full((10, 3), np.inf), attitude_bias=0.0)
+    problem = replace(problem, known=nothing, height_sigma=5.0)
+    solve, tried = sequence_poses._all_poses, []
+
+    def once_diverging(*given):
+        tried.append(given[0].known.attitude.max())
+        if len(tried) == 1:
+            raise DivergedError("diverged")
+        return solve(*given)
+
+    monkeypatch.setattr(sequence_poses, "_all_poses", once_diverging)
+    found = georeference_sequence(problem)
+    assert np.isinf(tried[0]) and 0.0 < tried[1] < 1.0
+    assert found.problem.known.attitude.max() == tried[1]
 
 
 def test_curves_through_the_subset_start_from_attitudes_as_they_were_mended():

@@ -251,7 +251,7 @@ def georeference_sequence(
         if photogrammetry:
             problem, model = _with_model(problem, followed, subset, run)
             run.note(MODELLED)
-        found, tracks = _all_poses(problem, followed, cross, run)
+        problem, found, tracks = _solved(problem, followed, cross, run)
     except DivergedError as error:
         raise EstimationError(unsolved_words(given)) from error
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
@@ -348,7 +348,7 @@ def _with_model(
     distance = float(np.median([np.linalg.norm(model.points - x, axis=1).min() for x in model.position]))
     place, attitude = by_displacement(
         p.t, model.frames, better.poses.position, better.poses.world_from_body, followed, p.detector, p.mount,
-        distance,
+        distance, images,
     )  # fmt: skip
     own = np.isfinite(p.known.attitude.sum(axis=1))[:, None]
     quat = np.where(own, images.world_from_body.as_quat(), attitude.as_quat())
@@ -452,6 +452,21 @@ def follow_sequence(
         sources, plan, problem.images.position, problem.known.position,
         progress=report, keep=keep, states=states,
     )  # fmt: skip
+
+
+def _solved(
+    problem: SequenceProblem, followed: Followed, cross: bool, run: _Run
+) -> tuple[SequenceProblem, Adjusted, Tracks]:
+    """All poses (760); of a model that heights of the ground alone do not hold, as cameras looking down."""
+    known = problem.known if problem.start is None else looking_down(problem.known)
+    try:
+        return problem, *_all_poses(problem, followed, cross, run)
+    except DivergedError:
+        if known is problem.known:
+            raise
+    run.stages.depend("cameras look down")
+    problem = replace(problem, known=known)
+    return problem, *_all_poses(problem, followed, cross, run)
 
 
 def _all_poses(

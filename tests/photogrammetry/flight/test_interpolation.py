@@ -13,6 +13,7 @@ from sightline.errors import InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.photogrammetry.flight.interpolation import between_anchors, by_displacement
+from sightline.photogrammetry.sightings import Images
 
 LEVEL = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 T = np.arange(21) / 10.0
@@ -104,6 +105,28 @@ def test_without_a_link_it_is_slerp():
     slerp = between_anchors(*known)[1]
     assert (slerp[10:].inv() * found[1][10:]).magnitude().max() < 1e-12
     assert (slerp[:10].inv() * found[1][:10]).magnitude().max() > 1e-3
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_frames_without_a_link_depart_from_rough_poses_as_anchors_do(turns):
+    # two lines flown to and fro, as followed between anchors; the carrier turns with its track, or does not
+    t, anchors = np.arange(40.0), np.array([4, 16, 23, 31])
+    along = np.concatenate([np.arange(20.0), np.arange(19.0, -1.0, -1.0)])
+    track = np.column_stack([np.repeat([0.0, 30.0], 20), 5.0 * along, np.full(40, 100.0)])
+    back = np.where(np.arange(40) < 20, 0.0, np.pi)
+    nose = Rotation.from_rotvec(np.outer(back, [0.0, 0.0, 1.0])) * LEVEL
+    rough = Images(np.zeros(40, dtype=int), np.arange(40), t, track, nose)
+    attitude = nose * Rotation.from_rotvec([0.1, 0.0, 0.02])
+    if not turns:
+        attitude = Rotation.concatenate([attitude[0]] * 40)
+    place = track + np.array([3.0, -2.0, 1.0])
+    flight = steady(40, 0.0, breaks=(20,))
+    found = by_displacement(
+        t, anchors, place[anchors], attitude[anchors], flight, DETECTOR, NADIR_MOUNT, 100.0, rough
+    )
+    outside = np.flatnonzero((t < 4) | ((t > 16) & (t < 23)) | (t > 31))
+    np.testing.assert_allclose(found[0][outside], place[outside], atol=1e-9)
+    assert (found[1].inv() * attitude).magnitude()[outside].max() < 1e-9
 
 
 def test_bad_input_is_refused():

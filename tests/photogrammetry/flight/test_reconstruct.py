@@ -104,6 +104,8 @@ def test_attitudes_that_are_not_given_are_held_at_first_and_free_afterwards():
     assert (first.position == known.position).all() and first.position_bias == 2.0
     assert np.isinf(known.attitude).all()
     assert looking_down(known).attitude_bias >= 0.1  # rad; no more is claimed than "down"
+    assert held(looking_down(known)).attitude.max() == first.attitude.max()
+    assert held(looking_down(known)).attitude_bias == first.attitude_bias
     given = RoughPoses(np.ones((4, 3)), np.full((4, 3), 0.01))
     assert held(given) is given and looking_down(given) is given
 
@@ -212,6 +214,27 @@ def test_frames_that_no_points_place_make_no_model(monkeypatch, flight):
             problem.sources, np.arange(4), [(0, 1)], flight.detector, NADIR_MOUNT, problem.images.position,
             problem.known.position,
         )  # fmt: skip
+
+
+def test_a_model_that_sees_the_ground_from_below_is_refused(monkeypatch, flight):
+    # rays of a narrow field are nearly parallel: ground and its mirror image look alike
+    pytest.importorskip("pycolmap")
+    problem = problem_of(flight, blind=True)
+    up = SimpleNamespace(rotation=SimpleNamespace(matrix=lambda: np.eye(3)))
+    seen = [
+        SimpleNamespace(
+            name=f"{k:06d}.png", has_pose=True, num_points3D=9, cam_from_world=lambda: up,
+            projection_center=lambda k=k: np.array([k % 3, k, 0.0]), get_observation_points2D=tuple,
+        )
+        for k in range(8)
+    ]  # fmt: skip
+    model = SimpleNamespace(images=dict(enumerate(seen)), points3D={})
+    monkeypatch.setattr(reconstruct_module, "_mapped", lambda *_: model)
+    place = np.array([[k % 3, k, 0.0] for k in range(8)]) * 20.0 + [0.0, 0.0, 100.0]
+    with pytest.raises(EstimationError, match=r"sees the ground from below: .* give attitudes"):
+        reconstruct(
+            problem.sources, np.arange(8), [(0, 1)], flight.detector, NADIR_MOUNT, place, np.ones((8, 3))
+        )
 
 
 def test_a_model_needs_three_positions_and_frames_that_are_alike(flight):

@@ -20,6 +20,7 @@ from sightline.geometry.checks import Array
 from sightline.geometry.instrument import AreaDetector
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.flight.subset import chained
+from sightline.photogrammetry.sightings import Images
 
 WAYS = ("slerp", "spline", "displacement")
 
@@ -69,6 +70,7 @@ def by_displacement(
     detector: AreaDetector,
     mount: Rotation,
     distance: float,
+    rough: Images | None = None,
 ) -> tuple[Array, Rotation]:
     """Poses at all times from those of anchors and how successive frames moved and turned (S4, 750/760).
 
@@ -82,6 +84,8 @@ def by_displacement(
         Of all frames.
     distance : float
         m, from the camera to the ground: one for all.
+    rough : Images, optional
+        M, as well as poses are known otherwise.
 
     Returns
     -------
@@ -92,15 +96,26 @@ def by_displacement(
     Notes
     -----
     Places lie on straight lines. What they do not explain of the displacement is a turn; what is left at the
-    next anchor is spread evenly over the frames before it. Where a link is missing it is slerp.
+    next anchor is spread evenly over the frames before it. Where a link is missing, and outside of the
+    anchors, poses depart from the rough ones as those of anchors do: there the flight may have turned.
+    Without rough poses it is slerp.
     """
     place, turned = between_anchors(t, anchors, position, attitude)
+    linked = [(followed.before[a + 1 : b + 1] == np.arange(a, b)).all() for a, b in pairwise(anchors)]
+    if rough is not None:
+        own = np.ones(len(t), dtype=bool)
+        own[anchors] = False
+        for a, b in (pair for pair, whole in zip(pairwise(anchors), linked, strict=True) if whole):
+            own[a:b] = False
+        place_there, turned_there = _beside(t, anchors, position, attitude, rough)
+        place = np.where(own[:, None], place_there, place)
+        turned = Rotation.from_quat(np.where(own[:, None], turned_there.as_quat(), turned.as_quat()))
     out = list(turned)
     middle = 0.5 * (np.array(detector.shape) - 1.0)
     step = detector.directions(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     hand = np.sign(np.cross(step[1] - step[0], step[2] - step[0])[2])
     for n, (a, b) in enumerate(pairwise(anchors)):
-        if not (followed.before[a + 1 : b + 1] == np.arange(a, b)).all():
+        if not linked[n]:
             continue
         start = attitude[n] * mount
         ground = position[n] + distance * start.apply(step[0])
@@ -116,6 +131,23 @@ def by_displacement(
             share = (t[k] - t[a]) / (t[b] - t[a])
             out[k] = chain[k - a - 1] * Rotation.from_rotvec(share * left)
     return place, Rotation.concatenate(out)
+
+
+def _beside(
+    t: Array, anchors: NDArray[np.intp], position: Array, attitude: Rotation, rough: Images
+) -> tuple[Array, Rotation]:
+    """Poses that depart from rough ones as those of the anchors do, as of `between_anchors`."""
+    away = rough.world_from_body[anchors].inv() * attitude
+    moved, turned = between_anchors(t, anchors, position - rough.position[anchors], away)
+    if _turning(away) <= _turning(attitude):
+        return rough.position + moved, rough.world_from_body * turned
+    # the carrier does not turn where its track does
+    return rough.position + moved, between_anchors(t, anchors, position, attitude)[1]
+
+
+def _turning(attitude: Rotation) -> float:
+    """rad; by how much an attitude turns from each to the next, in all."""
+    return float((attitude[:-1].inv() * attitude[1:]).magnitude().sum())
 
 
 def _onto(first: Array, second: Array) -> Rotation:

@@ -45,6 +45,8 @@ _LARGE = 500
 _SIGMA_PX = 0.5
 #: Sightings per frame that the model is adjusted with: the points seen most often.
 _ADJUSTED = 250
+#: rad; mapping's least angles between rays to a point are for fields of this, or wider.
+_WIDE = 1.0
 #: Points that a frame of a model shows at least: three give its pose, as many more say whether it is right.
 _LEAST_POINTS = 6
 #: rad; cameras of which no attitude is given look down on the whole within this.
@@ -234,17 +236,19 @@ def reconstruct(
         )
     placed = 0 if model is None else len(_placed(model))
     if placed < 3:
-        lines, columns = np.degrees(
-            2.0 * np.arctan(0.5 * np.array(detector.shape) / detector.focal_length_px)
-        )
         raise EstimationError(
             f"photogrammetry on {len(frames)} frames gave no model: {placed} of them share {_LEAST_POINTS} "
             "points or more with depth, 3 are needed; they are too little alike, show too little, or see too "
-            f"narrow a field for depth ({lines:.2g} x {columns:.2g} degrees); raise `overlap`, or give "
-            "attitudes"
+            f"narrow a field for depth {_field_words(detector)}; raise `overlap`, or give attitudes"
         )
     up = level_axes(position[frames], radii)[0].mean(axis=0)
     return _in_world(model, detector, mount, position, sigma, -up / np.linalg.norm(up))
+
+
+def _field_words(detector: AreaDetector) -> str:
+    """Field of view in words, (lines x columns)."""
+    lines, columns = np.degrees(2.0 * np.arctan(0.5 * np.array(detector.shape) / detector.focal_length_px))
+    return f"({lines:.2g} x {columns:.2g} degrees)"
 
 
 def _mapped(
@@ -308,6 +312,12 @@ def _mapped(
     options.random_seed = 0
     options.extract_colors = False
     options.use_prior_position = True
+    # of a narrow field all points are seen at angles that are taken for none in a wide one
+    narrow, mapper = min(1.0, min(detector.shape) / detector.focal_length_px / _WIDE), options.mapper
+    mapper.init_min_tri_angle *= narrow
+    mapper.ba_local_min_tri_angle *= narrow
+    mapper.filter_min_tri_angle *= narrow
+    options.triangulation.min_angle *= narrow
     models = pycolmap.incremental_mapping(database, folder, folder, options)
     return max(models.values(), key=lambda m: m.num_reg_images(), default=None)
 
@@ -371,6 +381,12 @@ def _in_world(
         )
     loose = float(np.median(sigma[frames][known]))
     scale, turn, moved = similarity(centre[known], position[frames][known], camera[known], down, loose)
+    # rays that are nearly parallel show ground and its mirror image, seen from below, alike
+    if (turn * camera).apply([0.0, 0.0, 1.0]).mean(axis=0) @ down < 0.0:
+        raise EstimationError(
+            f"photogrammetry gave a model of {len(frames)} frames that sees the ground from below: their "
+            f"field is too narrow for depth {_field_words(detector)}; raise `overlap`, or give attitudes"
+        )
     # columns, lines, depth in our camera's axes
     middle = np.array([detector.principal_point_px])
     steps = detector.directions(middle + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]]))
@@ -426,7 +442,8 @@ class RefinedModel(ReadOnlyArrays):
 def looking_down(known: RoughPoses) -> RoughPoses:
     """What is known where neither attitudes nor heights are given: that cameras look down on the whole.
 
-    A single flight line may be turned about itself otherwise, with all ground under it.
+    A single flight line may be turned about itself otherwise, with all ground under it. Frames of a narrow
+    field, which tell little of where they look, are led astray over ground of known height too.
     """
     if np.isfinite(known.attitude).any():
         return known
@@ -439,11 +456,12 @@ def held(known: RoughPoses) -> RoughPoses:
     A strip that may hardly be known to turn about itself would be turned by half a radian in its first step,
     and not come back.
     """
-    none = ~np.isfinite(known.attitude)
+    none = known.attitude >= _DOWN
     if not none.any():
         return known
     attitude = np.where(none, _HELD, known.attitude)
-    return replace(known, attitude=attitude, attitude_bias=max(known.attitude_bias, _HELD_ALL))
+    together = _HELD_ALL if none.all() else max(known.attitude_bias, _HELD_ALL)
+    return replace(known, attitude=attitude, attitude_bias=together)
 
 
 def refined(

@@ -14,12 +14,14 @@ import numpy as np
 from sightline.errors import EstimationError
 from sightline.geometry.checks import Array, frozen, read_only
 from sightline.matching.follow import Followed
+from sightline.photogrammetry.block.descent import DivergedError
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.flight.blocks import PartSolution
 from sightline.photogrammetry.flight.cross_links import CrossPlan
-from sightline.photogrammetry.flight.poses import FramePoses, adjust_frames
+from sightline.photogrammetry.flight.poses import FramePoses, RoughPoses, adjust_frames
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 from sightline.photogrammetry.flight.readout import ReadoutChange
+from sightline.photogrammetry.flight.reconstruct import held
 from sightline.photogrammetry.flight.rolling_shutter import (
     as_of_first_lines,
     first_line_pixels,
@@ -171,9 +173,18 @@ class SequenceSolver:
         start: FramePoses | Images | None = p.start if before is None else before
         if before is not None and not keep:
             start = estimated_images(p.images, before)
-        return adjust_frames(
-            p.images, sightings, p.known_poses, priors=priors, points=points, start=start, readout=change
-        )
+
+        def adjusted(known: RoughPoses) -> FramePoses:
+            return adjust_frames(
+                p.images, sightings, known, priors=priors, points=points, start=start, readout=change
+            )
+
+        try:
+            return adjusted(p.known_poses)
+        except DivergedError:
+            if before is not None or p.start is None:
+                raise
+            return adjusted(held(p.known_poses))  # near a model, whose attitudes a narrow field hardly shows
 
     def equations(
         self, tracks: Tracks, before: FramePoses | None
