@@ -109,9 +109,10 @@ class Stages:
             return found
         key, before = self._key.copy(), self.taken_over
         begun = self._since = time.process_time()
-        packed = pack(compute())
-        # what stages within this one depend on is their own affair
-        self._key = key
+        try:
+            packed = pack(compute())
+        finally:
+            self._key = key  # what stages within this one depend on is their own affair
         # those of them that were found are part of its work
         spent = time.process_time() - begun + self.taken_over - before
         self._keep(name, packed, spent)

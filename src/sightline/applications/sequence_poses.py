@@ -457,13 +457,16 @@ def follow_sequence(
 def _solved(
     problem: SequenceProblem, followed: Followed, cross: bool, run: _Run
 ) -> tuple[SequenceProblem, Adjusted, Tracks]:
-    """All poses (760); of a model that heights of the ground alone do not hold, as cameras looking down."""
+    """All poses (760); where those of a model do not come together, of cameras that look down."""
     known = problem.known if problem.start is None else looking_down(problem.known)
     try:
         return problem, *_all_poses(problem, followed, cross, run)
     except DivergedError:
         if known is problem.known:
             raise
+    blocks = range(len(problem) // BLOCK_FRAMES + 1)
+    for name in ("poses", "cross", *(f"block-{number}" for number in blocks)):
+        run.stages.drop(name)
     run.stages.depend("cameras look down")
     problem = replace(problem, known=known)
     return problem, *_all_poses(problem, followed, cross, run)

@@ -209,6 +209,18 @@ def test_the_nose_is_along_each_line_up_to_its_ends():
     np.testing.assert_allclose(forward, np.repeat([[0, 1.0, 0], [0, -1.0, 0]], 20, axis=0), atol=1e-12)
 
 
+def test_the_nose_of_short_lines_is_not_along_the_way_between_them():
+    # two lines of 45 m flown to and fro, 30 m apart, places to 5 m: less than ten sigmas long
+    along = np.linspace(0.0, 45.0, 10)
+    places = np.column_stack([np.repeat([0.0, 30.0], 10), np.r_[along, along[::-1]], np.full(20, 80.0)])
+    places += np.random.default_rng(1).normal(0.0, 5.0, places.shape)
+    t = np.r_[np.arange(10.0), 60.0 + np.arange(10.0)]
+    forward = track_attitude(t, places, np.full((20, 3), 5.0), None).apply([1.0, 0, 0])
+    ahead = forward[:, 1] * np.repeat([1.0, -1.0], 10)
+    # ends of a line are nine sigmas apart: .16 rad, of its inner frames somewhat more
+    assert np.median(ahead) > np.cos(0.3) and ahead.min() > 0.0
+
+
 def test_the_nose_of_bursts_that_noise_hides_and_of_single_frames_is_along_the_flight():
     # three frames in .2 s at 10 m/s every 5 s, known to 1 m; then one frame in 40 s between two lines
     rng = np.random.default_rng(0)

@@ -213,9 +213,10 @@ def track_attitude(t: Array, position: Array, sigma: Array, radii: tuple[float, 
     count, at = len(t), np.arange(len(t))
     known = sigma[np.isfinite(sigma)]
     apart = _HEADING_SIGMAS * float(np.median(known)) if len(known) else 0.0
-    # the way from the end of one line to the beginning of the next is no track; bursts have none of their own
+    # the way from the end of one line to the beginning of the next is no track; bursts have none of their
+    # own, lines half as long as that do
     gone = np.linalg.norm(position - position[first], axis=1)
-    own = np.maximum.reduceat(gone, np.unique(first))[number] > apart
+    own = np.maximum.reduceat(gone, np.unique(first))[number] > 0.5 * apart
     first, last = np.where(own, first, 0), np.where(own, last, count)
     half = 1
     while True:

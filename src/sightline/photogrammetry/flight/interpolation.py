@@ -22,6 +22,9 @@ from sightline.matching.follow import Followed
 from sightline.photogrammetry.flight.subset import chained
 from sightline.photogrammetry.sightings import Images
 
+#: rad; a track that turns by more from one anchor to the next is flown in another direction.
+_TURNED = 1.0
+
 WAYS = ("slerp", "spline", "displacement")
 
 
@@ -136,18 +139,20 @@ def by_displacement(
 def _beside(
     t: Array, anchors: NDArray[np.intp], position: Array, attitude: Rotation, rough: Images
 ) -> tuple[Array, Rotation]:
-    """Poses that depart from rough ones as those of the anchors do, as of `between_anchors`."""
-    away = rough.world_from_body[anchors].inv() * attitude
-    moved, turned = between_anchors(t, anchors, position - rough.position[anchors], away)
-    if _turning(away) <= _turning(attitude):
-        return rough.position + moved, rough.world_from_body * turned
-    # the carrier does not turn where its track does
-    return rough.position + moved, between_anchors(t, anchors, position, attitude)[1]
+    """Poses that depart from rough ones as those of the anchors do, of places as most of them do."""
+    place = rough.position + np.median(position - rough.position[anchors], axis=0)
+    planned = rough.world_from_body[anchors]
+    # where the track turns, a carrier turns with it, or keeps its nose where it is
+    turns = _steps(planned) > _TURNED
+    if turns.any() and float(np.median((_steps(attitude) / _steps(planned))[turns])) < 0.5:
+        return place, between_anchors(t, anchors, position, attitude)[1]
+    away = between_anchors(t, anchors, position, planned.inv() * attitude)[1]
+    return place, rough.world_from_body * away
 
 
-def _turning(attitude: Rotation) -> float:
-    """rad; by how much an attitude turns from each to the next, in all."""
-    return float((attitude[:-1].inv() * attitude[1:]).magnitude().sum())
+def _steps(attitude: Rotation) -> Array:
+    """rad (K - 1,); by how much an attitude turns from each to the next."""
+    return np.maximum((attitude[:-1].inv() * attitude[1:]).magnitude(), 1e-9)
 
 
 def _onto(first: Array, second: Array) -> Rotation:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching.follow import Followed
+from sightline.photogrammetry.block.descent import DivergedError
 from sightline.photogrammetry.block.point_priors import HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.flight.poses import FramePoses, RoughPoses, adjust_frames
 from sightline.photogrammetry.flight.subset import chained
@@ -327,13 +329,15 @@ def _move_features(
 ) -> None:
     """Features of all frames at `moved` pixels."""
     with pycolmap.Database.open(str(database)) as store:
-        for k, name in names.items():
-            image = store.read_image_with_name(name).image_id
-            features = store.read_keypoints(image)
-            # theirs are (column, line), counted from the corner of the first
-            pixels = moved(np.full(len(features), k), features[:, 1::-1].astype(np.float64) - 0.5)
-            features[:, :2] = pixels[:, ::-1] + 0.5
-            store.update_keypoints(image, features)
+        images = [store.read_image_with_name(name).image_id for name in names.values()]
+        features = [store.read_keypoints(image) for image in images]
+        rows = np.repeat(np.array(list(names)), [len(each) for each in features])
+        # theirs are (column, line), counted from the corner of the first
+        pixels = moved(rows, np.concatenate(features)[:, 1::-1].astype(np.float64) - 0.5)
+        ends = np.cumsum([len(each) for each in features])[:-1]
+        for image, each, own in zip(images, features, np.split(pixels, ends), strict=True):
+            each[:, :2] = own[:, ::-1] + 0.5
+            store.update_keypoints(image, each)
 
 
 def _line_gain(sources: Sequence[ImageSource], frames: Index, detector: AreaDetector) -> NDArray[np.float32]:
@@ -385,7 +389,8 @@ def _in_world(
     if (turn * camera).apply([0.0, 0.0, 1.0]).mean(axis=0) @ down < 0.0:
         raise EstimationError(
             f"photogrammetry gave a model of {len(frames)} frames that sees the ground from below: their "
-            f"field is too narrow for depth {_field_words(detector)}; raise `overlap`, or give attitudes"
+            f"field is too narrow for depth {_field_words(detector)}, or axes of the positions are "
+            "exchanged; check [world], raise `overlap`, or give attitudes"
         )
     # columns, lines, depth in our camera's axes
     middle = np.array([detector.principal_point_px])
@@ -442,8 +447,9 @@ class RefinedModel(ReadOnlyArrays):
 def looking_down(known: RoughPoses) -> RoughPoses:
     """What is known where neither attitudes nor heights are given: that cameras look down on the whole.
 
-    A single flight line may be turned about itself otherwise, with all ground under it. Frames of a narrow
-    field, which tell little of where they look, are led astray over ground of known height too.
+    They do so as the model has it, to 0.2 rad. A single flight line may be turned about itself otherwise,
+    with all ground under it. Frames of a narrow field, which tell little of where they look, are led astray
+    over ground of known height too.
     """
     if np.isfinite(known.attitude).any():
         return known
@@ -456,12 +462,11 @@ def held(known: RoughPoses) -> RoughPoses:
     A strip that may hardly be known to turn about itself would be turned by half a radian in its first step,
     and not come back.
     """
-    none = known.attitude >= _DOWN
+    none = ~np.isfinite(known.attitude)
     if not none.any():
         return known
     attitude = np.where(none, _HELD, known.attitude)
-    together = _HELD_ALL if none.all() else max(known.attitude_bias, _HELD_ALL)
-    return replace(known, attitude=attitude, attitude_bias=together)
+    return replace(known, attitude=attitude, attitude_bias=max(known.attitude_bias, _HELD_ALL))
 
 
 def refined(
@@ -519,7 +524,13 @@ def refined(
     # their noise is not known beforehand: residuals of a first solution show it, and how it drifts
     for known_now in (first, rough):
         sightings = sight_frames(given, [detector], [mount], tracks)
-        poses = adjust_frames(given, sightings, known_now, priors=priors, points=points, start=near)
+        adjusted = partial(adjust_frames, given, sightings, priors=priors, points=points, start=near)
+        try:
+            poses = adjusted(known_now)
+        except DivergedError:
+            if known_now is first or looking_down(rough) is rough:
+                raise
+            poses = adjusted(looking_down(rough))
         tracks = with_drift(tracks, poses.residual_px, ~poses.rejected)
         near = Images(*count, poses.position, poses.world_from_body)
         points = np.where(np.isfinite(poses.points), poses.points, points)

@@ -51,7 +51,10 @@ def first_line_pixels(
     """
     rate = np.zeros((len(t), 4))
     weight = np.zeros(len(t))
+    line = stretches(t)
     for k in np.flatnonzero(followed.before >= 0):
+        if line[k] != line[followed.before[k]] or not abs(followed.motion[k, 2]) < _TURNED:
+            continue  # how it came from one flight line to another is not how it moves within a frame
         each = followed.motion[k] / (t[k] - t[followed.before[k]])
         for frame in (int(k), int(followed.before[k])):
             rate[frame] += each

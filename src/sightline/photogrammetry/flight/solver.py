@@ -115,7 +115,13 @@ class SequenceSolver:
         own = copy(self)
         own.problem, own.followed = problem, followed
         tracks = tracks_of(followed)
-        poses = own.solve(tracks, None)
+        try:
+            poses = own.solve(tracks, None)
+        except DivergedError:
+            if problem.start is None:
+                raise
+            # attitudes of a model, which narrow fields hardly show, are held until poses are nearer
+            poses = own.solve(tracks, None, known=held(problem.known_poses))
         for number in range(1, self.rounds()):
             if progress is not None:
                 progress(number)
@@ -163,28 +169,28 @@ class SequenceSolver:
         """
         return self.solve(tracks, near, keep=False)
 
-    def solve(self, tracks: Tracks, before: FramePoses | None, *, keep: bool = True) -> FramePoses:
+    def solve(
+        self,
+        tracks: Tracks,
+        before: FramePoses | None,
+        *,
+        keep: bool = True,
+        known: RoughPoses | None = None,
+    ) -> FramePoses:
         """Poses of all frames; `before` says where points are, and how frames moved while read out.
 
-        `keep`: it is a solution of the same sightings, whose roughness and biases hold.
+        `keep`: it is a solution of the same sightings, whose roughness and biases hold. `known`: in place of
+        what the problem says of poses.
         """
         p = self.problem
+        known = p.known_poses if known is None else known
         sightings, priors, points, change = self.equations(tracks, before)
         start: FramePoses | Images | None = p.start if before is None else before
         if before is not None and not keep:
             start = estimated_images(p.images, before)
-
-        def adjusted(known: RoughPoses) -> FramePoses:
-            return adjust_frames(
-                p.images, sightings, known, priors=priors, points=points, start=start, readout=change
-            )
-
-        try:
-            return adjusted(p.known_poses)
-        except DivergedError:
-            if before is not None or p.start is None:
-                raise
-            return adjusted(held(p.known_poses))  # near a model, whose attitudes a narrow field hardly shows
+        return adjust_frames(
+            p.images, sightings, known, priors=priors, points=points, start=start, readout=change
+        )
 
     def equations(
         self, tracks: Tracks, before: FramePoses | None
