@@ -174,7 +174,7 @@ def test_a_rolling_shutter_tells_nothing_of_where_a_flight_lies():
 
 
 def test_a_model_whose_poses_do_not_come_together_is_solved_as_of_cameras_that_look_down(monkeypatch):
-    pytest.importorskip("pycolmap")
+    pytest.importorskip("pycolmap", reason="models of frames are made by pycolmap, extra sfm")
     problem = problem_of(sequence_case("small", 3, filter="pan", frames=10, overlap=0.85))
     nothing = replace(problem.known, attitude=np.full((10, 3), np.inf), attitude_bias=0.0)
     problem = replace(problem, known=nothing, height_sigma=5.0)

@@ -178,7 +178,7 @@ def test_a_flight_begins_with_a_model_of_its_subset(flight, blind):
 
 
 def test_a_model_of_a_rolling_shutter_is_as_high_as_its_sigma_says():
-    pytest.importorskip("pycolmap")
+    pytest.importorskip("pycolmap", reason="models of frames are made by pycolmap, extra sfm")
     still = sequence_case("small", 2, filter="pan", frames=16, overlap=0.8)
     # read out over half of the time to the next frame: ground is 10 % shorter in a frame than it is
     step = float(np.median(np.diff(still.poses[0])))
@@ -216,7 +216,7 @@ def test_frames_that_no_points_place_make_no_model(monkeypatch, flight):
 
 def test_a_model_that_sees_the_ground_from_below_is_refused(monkeypatch, flight):
     # rays of a narrow field are nearly parallel: ground and its mirror image look alike
-    pytest.importorskip("pycolmap")
+    pytest.importorskip("pycolmap", reason="models of frames are made by pycolmap, extra sfm")
     problem = problem_of(flight, blind=True)
     up = SimpleNamespace(rotation=SimpleNamespace(matrix=lambda: np.eye(3)))
     seen = [

@@ -108,8 +108,8 @@ def by_displacement(
     if rough is not None:
         own = np.ones(len(t), dtype=bool)
         own[anchors] = False
-        for a, b in (pair for pair, whole in zip(pairwise(anchors), linked, strict=True) if whole):
-            own[a:b] = False
+        for (a, b), whole in zip(pairwise(anchors), linked, strict=True):
+            own[a:b] &= not whole
         place_there, turned_there = _beside(t, anchors, position, attitude, rough)
         place = np.where(own[:, None], place_there, place)
         turned = Rotation.from_quat(np.where(own[:, None], turned_there.as_quat(), turned.as_quat()))
@@ -143,8 +143,9 @@ def _beside(
     place = rough.position + np.median(position - rough.position[anchors], axis=0)
     planned = rough.world_from_body[anchors]
     # where the track turns, a carrier turns with it, or keeps its nose where it is
-    turns = _steps(planned) > _TURNED
-    if turns.any() and float(np.median((_steps(attitude) / _steps(planned))[turns])) < 0.5:
+    steps = _steps(planned)
+    turns = steps > _TURNED
+    if turns.any() and float(np.median(_steps(attitude)[turns] / steps[turns])) < 0.5:
         return place, between_anchors(t, anchors, position, attitude)[1]
     away = between_anchors(t, anchors, position, planned.inv() * attitude)[1]
     return place, rough.world_from_body * away
@@ -152,7 +153,7 @@ def _beside(
 
 def _steps(attitude: Rotation) -> Array:
     """rad (K - 1,); by how much an attitude turns from each to the next."""
-    return np.maximum((attitude[:-1].inv() * attitude[1:]).magnitude(), 1e-9)
+    return np.asarray((attitude[:-1].inv() * attitude[1:]).magnitude())
 
 
 def _onto(first: Array, second: Array) -> Rotation:

@@ -118,10 +118,11 @@ class SequenceSolver:
         try:
             poses = own.solve(tracks, None)
         except DivergedError:
-            if problem.start is None:
+            known = problem.known_poses
+            if problem.start is None or (closer := held(known)) is known:
                 raise
             # attitudes of a model, which narrow fields hardly show, are held until poses are nearer
-            poses = own.solve(tracks, None, known=held(problem.known_poses))
+            poses = own.solve(tracks, None, known=closer)
         for number in range(1, self.rounds()):
             if progress is not None:
                 progress(number)
