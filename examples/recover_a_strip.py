@@ -13,7 +13,7 @@ from sightline.simulate.scenarios import line_of_sight_case
 
 def main() -> None:
     """Print, per axis, the error against the truth beside the sigma that the estimate claims, in pixels."""
-    scene = line_of_sight_case("nominal", seed=2, lines=600, columns=240)
+    scene = line_of_sight_case("nominal", seed=2, lines=400, columns=200)
     bands = [
         sightline.Band(
             name=band.name,

@@ -34,8 +34,8 @@ DATA = Path(os.environ.get("SIGHTLINE_DATA", ROOT / ".." / "shared" / "data")).r
 #: Files whose tests take ten seconds or more, the longest first: those that recover strips, and all others.
 LONGEST = (
     (
-        "applications/test_instruments.py", "applications/test_fusion.py", "test_cli_recover.py",
-        "applications/test_relief.py", "applications/test_line_of_sight.py", "applications/test_hybridise.py",
+        "applications/test_instruments.py", "applications/test_line_of_sight.py", "test_cli_recover.py",
+        "applications/test_fusion.py", "applications/test_relief.py", "applications/test_hybridise.py",
         "applications/test_unlike_bands.py", "motion/strip/test_withheld.py", "test_cli_register.py",
         "test_cli_tdi.py", "report/test_hostile_names.py", "kinds/test_kinds.py",
         "applications/test_registration.py", "applications/test_wrong_lag.py",

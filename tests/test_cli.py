@@ -470,7 +470,7 @@ def test_warm_up_leaves_nothing_but_kernels_and_says_what_went_wrong(tmp_path, m
     monkeypatch.setattr(
         warm_up,
         "JOBS",
-        ("simulate stereo --shots 4 --points 30 --out pair", "orient pair/stereo.toml --out o"),
+        ("simulate stereo --shots 4 --points 30 --out pair", "check pair/stereo.toml"),
     )
     assert command.run(["warm-up"]) == 0
     assert "kept" in capsys.readouterr().out and not list(tmp_path.iterdir())

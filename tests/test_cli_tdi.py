@@ -397,7 +397,7 @@ def test_optics_per_column_stand_in_for_those_of_the_file(toml, tmp_path):
 @pytest.fixture(scope="module")
 def strip(tmp_path_factory):
     folder = tmp_path_factory.mktemp("strip")
-    size = ["--lines", "400", "--columns", "200"]
+    size = ["--lines", "340", "--columns", "200"]
     assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(folder / "strip")]) == 0
     # one pass: these tests are of what is made of a motion, not of how well it is known
     toml = folder / "strip" / "acquisition.toml"

@@ -69,8 +69,8 @@ def test_of_a_flight_every_frame_too(tmp_path):
 
 @pytest.mark.parametrize("more", ["control_points=3", "images=true"], ids=["points", "pictures"])
 def test_of_a_pass_of_spacecraft(tmp_path, more):
-    words = ["--shots", "3", "--points", "20", "--set", more, "--out", str(tmp_path / "pass")]
-    assert run(["simulate", "stereo", *words]) == 0
+    words = f"--shots 3 --points 20 --set columns=128 --set {more}".split()
+    assert run(["simulate", "stereo", *words, "--out", str(tmp_path / "pass")]) == 0
     with noted(tmp_path / "out") as seen:
         stereo = read_stereo(tmp_path / "pass" / "stereo.toml")
     assert len(stereo.inputs) > 2 and real(stereo.inputs) <= seen.places()

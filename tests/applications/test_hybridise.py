@@ -33,7 +33,7 @@ def recovered(bands, hybridise):
 
 
 def test_both_ways_give_the_same_motion_within_its_sigma():
-    _, bands = strip(3, size=(400, 200))
+    _, bands = strip(3, size=(320, 160))
     one, other = (recovered(bands, how) for how in ("global", "iterative"))
     apart = (one.motion.angles - other.motion.angles) / one.scale
     apart = remove_directions(apart, one.hidden / one.scale[:, None])
@@ -43,7 +43,7 @@ def test_both_ways_give_the_same_motion_within_its_sigma():
 
 
 def test_groups_that_are_not_matched_with_each_other_are_begun_one_after_the_other():
-    _, bands = strip(4, size=(360, 200))
+    _, bands = strip(4, size=(320, 160))
     pairs = (("A", "C"), ("B", "D"))
     options = RecoverOptions(hybridise="iterative", pairs=pairs, passes=1)
     result = recover_line_of_sight(bands, Plane(0.0), options=options)
@@ -52,7 +52,7 @@ def test_groups_that_are_not_matched_with_each_other_are_begun_one_after_the_oth
 
 
 def test_two_bands_have_one_pair_and_one_answer():
-    _, bands = strip(2, size=(360, 200))
+    _, bands = strip(2, size=(320, 160))
     options = (RecoverOptions(hybridise=how, passes=1) for how in ("global", "iterative"))
     one, other = (recover_line_of_sight(bands, Plane(0.0), options=given) for given in options)
     np.testing.assert_array_equal(one.motion.angles, other.motion.angles)

@@ -34,10 +34,10 @@ SCENES = {
     "spin-geo": (300, 160, 5.0),
     "mirror-leo": (300, 160, 25.0),
     "mirror-geo": (300, 160, 5.0),
-    "staggered": (800, 0, 10.0),
+    "staggered": (600, 0, 10.0),
     "every-line": (160, 160, 20.0),
-    "dedicated-matrix": (500, 300, 5.0),
-    "dedicated-strip": (400, 220, 20.0),
+    "dedicated-matrix": (400, 240, 5.0),
+    "dedicated-strip": (360, 200, 20.0),
     "multi-line": (300, 160, 30.0),
 }
 

@@ -19,6 +19,7 @@ from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.imaging.source import ArrayImage
 from sightline.photogrammetry.block.descent import DivergedError
 from sightline.photogrammetry.flight.interpolation import between_anchors, by_displacement
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
 
@@ -207,9 +208,16 @@ def test_curves_through_the_subset_start_from_attitudes_as_they_were_mended():
         assert np.degrees(np.abs(error[:, 3:])).max() < 4.0 * 0.5
 
 
-def test_two_lines_are_tied_where_they_overlap():
-    scenario = sequence_case("two-lines", 1, frames=40, overlap=0.96, filter="pan", readout_time=0.0)
-    found = georeference_sequence(problem_of(scenario))
+@pytest.fixture(scope="module")
+def two_lines() -> tuple[SequenceScenario, SequenceProblem]:
+    """Two lines side by side, and what would be known of them."""
+    scenario = sequence_case("two-lines", 1, frames=30, overlap=0.95, filter="pan", readout_time=0.0)
+    return scenario, problem_of(scenario)
+
+
+def test_two_lines_are_tied_where_they_overlap(two_lines):
+    scenario, problem = two_lines
+    found = georeference_sequence(problem)
     assert set(found.stretch) == {0, 1}
     # the datum is the tables': ground that is found too low is seen further out from both sides
     points = found.poses.points[np.isfinite(found.poses.points[:, 0])]
@@ -217,15 +225,14 @@ def test_two_lines_are_tied_where_they_overlap():
     error = ground_error_px(scenario, found.poses.position - [0.0, 0.0, sunk], found.poses.world_from_body)
     # both lines see the ground between them on their right, in low columns
     shared = error.reshape(len(error), 4, 4, 2)[:, :, :2]
-    apart = shared[:40].mean(axis=(0, 1, 2)) - shared[40:].mean(axis=(0, 1, 2))
-    # tables alone leave the lines apart by noise of 1 m and 0.5 deg over sqrt(40) frames: 1 px and more
+    apart = shared[:30].mean(axis=(0, 1, 2)) - shared[30:].mean(axis=(0, 1, 2))
+    # tables alone leave the lines apart by noise of 1 m and 0.5 deg over sqrt(30) frames: 1 px and more
     assert np.abs(apart).max() < 0.5
 
 
-def test_lines_that_are_too_much_for_the_memory_are_solved_one_by_one(monkeypatch):
-    scenario = sequence_case("two-lines", 1, frames=30, overlap=0.95, filter="pan", readout_time=0.0)
+def test_lines_that_are_too_much_for_the_memory_are_solved_one_by_one(two_lines, monkeypatch):
     monkeypatch.setattr(sequence_poses, "machine_memory", lambda: 1e6)
-    found = georeference_sequence(problem_of(scenario))
+    found = georeference_sequence(two_lines[1])
     assert any("not solved together" in words for words in found.warnings)
     assert found.tracks.point.max() + 1 == len(found.poses.points)
     assert np.isfinite(found.poses.covariance).all()

@@ -10,7 +10,7 @@ from scipy.linalg import toeplitz
 
 from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
-from sightline.estimation.likelihood import SPREAD_PLACES, default_step, fit_spectrum, spread_of
+from sightline.estimation.likelihood import SPREAD_PLACES, WORK, default_step, fit_spectrum, spread_of
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import gain_of_chance, mean_variance_about, mean_variance_unseen
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
@@ -240,13 +240,14 @@ def test_a_start_whose_parts_have_changed_places_is_not_kept() -> None:
 
 
 def test_a_long_strip_is_fitted_on_a_coarser_grid() -> None:
-    t = np.arange(0.0, 60.0, 2e-3)
+    t = np.arange(0.0, 15.0, 2e-3)
     y = np.random.default_rng(0).normal(size=len(t))
     long = DifferenceSeries(t, np.full(len(t), 0.05), y, np.ones(len(t)))
     assert default_step([long]) == pytest.approx(2e-3)
-    found = fit_spectrum([long], max_tones=0, iterations=1)
-    # a shorter one: two nodes to a row
-    assert 1e-3 < found.step <= 6e-3
+    # a quarter of the work allowed: as of a minute
+    found = fit_spectrum([long], max_tones=0, iterations=1, work=0.25 * WORK)
+    # a shorter one: two nodes to a row; here the root of (15.05 s x (0.05 s)^2 / work), the third
+    assert found.step == pytest.approx(1.36e-3, rel=0.01)
 
 
 def test_the_default_step_follows_the_shortest_lag_within_the_sampling() -> None:

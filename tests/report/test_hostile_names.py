@@ -74,7 +74,7 @@ def with_cells(path, changes):
 def strip(base, command):
     """A strip, its bands registered, and a TDI detector set by it."""
     folder = hostile_folder(base)
-    size = ["--lines", "400", "--columns", "160"]
+    size = ["--lines", "340", "--columns", "144"]
     command("simulate", "line-of-sight", "--seed", "3", *size, "--out", folder / "strip")
     bands = dict(zip(("PAN", "B1", "B0", "B2"), NAMES, strict=True))
     toml = renamed(folder / "strip" / "acquisition.toml", bands, [f"{band}.tif" for band in bands])

@@ -65,9 +65,10 @@ def test_the_path_is_the_best_of_all_paths(step, seed):
     # 6 cells of 12 settings (4 numbers of stages x 3 ratios), some forbidden
     rng = np.random.default_rng(seed)
     along, fixed = rng.uniform(0.3, 1.0, (6, 12)), rng.uniform(0.8, 1.0, 12)
+    along, fixed = along.astype(np.float32), fixed.astype(np.float32)  # as the choice hands them over
     kept = np.where(rng.random((6, 12)) < 0.8, 15, 7).astype(np.uint8)
     kept[:, rng.integers(12)] = 15
-    merit, allowed = along * fixed, kept == 15
+    merit, allowed = along.astype(np.float64) * fixed, kept == 15
     best = np.where(allowed, merit, 0.0).argmax(axis=1)
     out, far = np.empty(6, dtype=np.intp), np.empty(6, dtype=bool)
     share, levels = 0.25, 2**20

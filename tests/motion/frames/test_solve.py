@@ -236,7 +236,7 @@ def owned(stars, count: int):
 def test_what_all_pairs_of_one_lag_err_alike_is_owned_and_lags_that_agree_are_left_alone():
     truth, size = walk(9, step=1e-5), 0.03 * PIXEL
     taken, squares, before = 0, [], []
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         turns = {lag: np.array([size * rng.standard_normal(), 0.0, 0.0]) for lag in LAGS}
         plain, found = owned(turned_by_lag(truth, turns, rng), 9)
@@ -246,12 +246,12 @@ def test_what_all_pairs_of_one_lag_err_alike_is_owned_and_lags_that_agree_are_le
         for one, out in ((found, squares), (plain, before)):
             sigma = np.sqrt(last_less_first @ one.angle_covariance @ last_less_first)
             out.append(float(last_less_first @ (one.angles - truth).ravel() / sigma) ** 2)
-    assert taken >= 7
+    assert taken >= 5
     # three lags tell little of their sigma: tails are Student's
     assert np.mean(before) > 10.0
     assert np.median(squares) < 2.0 and np.mean(squares) < 0.25 * np.mean(before)
-    alone = [owned(pinholes.stars(truth, rng=np.random.default_rng(seed)), 9)[1] for seed in range(12)]
-    # three axes at one in 100: more than 2 of 12 once in 200 such tests
+    alone = [owned(pinholes.stars(truth, rng=np.random.default_rng(seed)), 9)[1] for seed in range(8)]
+    # three axes at one in 100: more than 2 of 8 once in 700 such tests
     assert sum(one.unknowns.turns is not None for one in alone) <= 2
 
 

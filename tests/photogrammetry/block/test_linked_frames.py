@@ -38,15 +38,17 @@ def level(heading: float) -> Rotation:
 class Flight:
     """Lines with jitter over hills; points followed in each, and points that pairs of lines show."""
 
-    def __init__(self, seed: int, lines: tuple[tuple[float, float, float], ...]) -> None:
+    def __init__(
+        self, seed: int, lines: tuple[tuple[float, float, float], ...], frames: int = FRAMES
+    ) -> None:
         rng = np.random.default_rng(seed)
-        self.rng, count = rng, FRAMES * len(lines)
+        self.rng, count = rng, frames * len(lines)
         position, attitude, t = [], [], []
         for number, (east, north, heading) in enumerate(lines):
-            way = STEP * np.arange(FRAMES)[:, None] * level(heading).apply([1.0, 0.0, 0.0])
+            way = STEP * np.arange(frames)[:, None] * level(heading).apply([1.0, 0.0, 0.0])
             position.append(np.array([east, north, HEIGHT]) + way)
-            attitude.append(level(heading).as_quat() * np.ones((FRAMES, 1)))
-            t.append(0.1 * np.arange(FRAMES) + 60.0 * number)
+            attitude.append(level(heading).as_quat() * np.ones((frames, 1)))
+            t.append(0.1 * np.arange(frames) + 60.0 * number)
         self.t = np.concatenate(t)
         sway = 0.05 * np.sin(2.0 * self.t[:, None] + rng.uniform(0.0, 6.0, 3))
         self.position = np.concatenate(position) + sway
@@ -59,14 +61,14 @@ class Flight:
             rows = np.flatnonzero(((at > 0) & (at < np.array(SHAPE) - 1)).all(axis=1))
             seen.append(dict(zip(rows.tolist(), at[rows], strict=True)))
             image.append(np.full(len(rows), k))
-            point.append(rows + len(ground) * (k // LIFE + 1000 * (k // FRAMES)))
+            point.append(rows + len(ground) * (k // LIFE + 1000 * (k // frames)))
             pixels.append(at[rows])
         names = np.unique(np.concatenate(point), return_inverse=True)[1]
         images, places = [np.concatenate(image)], [np.concatenate(pixels)]
         last = int(names.max()) + 1
         # every fifth frame of a line with every fifth of later ones
         for i in range(2, count, 5):
-            for j in range(i + FRAMES - i % FRAMES, count, 5):
+            for j in range(i + frames - i % frames, count, 5):
                 for name in sorted(set(seen[i]) & set(seen[j]))[:12]:
                     images.append(np.array([i, j]))
                     names = np.append(names, [last, last])
@@ -154,7 +156,7 @@ def test_lines_by_themselves_give_the_numbers_of_one_band(lines, focal):
 
 
 def test_a_flight_is_solved_alike_in_either_order(monkeypatch):
-    flight = Flight(7, CROSSING)
+    flight = Flight(7, CROSSING, 40)
     bad = flight.rng.random(len(flight.tracks)) < 0.01
     pixels = flight.tracks.pixels + bad[:, None] * flight.rng.uniform(5.0, 20.0, (len(bad), 2))
     flight.tracks = replace(flight.tracks, pixels=pixels)
