@@ -34,6 +34,7 @@ from sightline.geometry.pointing import Pointing
 from sightline.geometry.pose_table import PoseTable, camera_poses
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import TIME_SLACK, Trajectory
+from sightline.writing import scratch_array
 
 #: How far beyond the ends of a detector line a point still gets a column (px).
 COLUMN_MARGIN_PX = 50.0
@@ -304,6 +305,18 @@ class PushbroomCamera(ReadOnlyArrays):
             self.detector.pixel_step / self.detector.line_period,
         )
 
+    @cached_property
+    def _planes(self) -> Array:
+        """(R, 4) the plane in which the detector line looks from each pose of the table, for `find_lines`."""
+        detector, rows = self.detector, self._table.rows
+        if not detector.is_straight:
+            return read_only(np.empty((0, 4)))
+        planes = scratch_array((len(rows), 4))
+        (x, y), height = detector.axis, detector.curve[0, 1]
+        planes[:, :3] = rows[:, :9].reshape(-1, 3, 3) @ np.array([-y, x, -height])
+        planes[:, 3] = np.einsum("ni,ni->n", planes[:, :3], rows[:, 9:])
+        return read_only(planes)
+
     def camera_tangents(self, points: ArrayLike, lines: ArrayLike) -> Array:
         """Where points would appear in the focal plane if it were exposed at given lines.
 
@@ -495,6 +508,7 @@ class PushbroomCamera(ReadOnlyArrays):
             detector.is_straight,
             (low, high),
             (-COLUMN_MARGIN_PX, self.columns - 1 + COLUMN_MARGIN_PX),
+            self._planes,
             pixels,
         )
         return pixels
@@ -514,7 +528,7 @@ class PushbroomCamera(ReadOnlyArrays):
 
     def forget(self) -> None:
         """Give back the poses of all lines that are kept for speed; they are found again when needed."""
-        for kept in ("_table", "_parts"):
+        for kept in ("_table", "_planes", "_parts"):
             self.__dict__.pop(kept, None)
 
     def with_trajectory(self, trajectory: Trajectory) -> PushbroomCamera:

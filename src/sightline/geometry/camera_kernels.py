@@ -22,6 +22,9 @@ _LINE_STEP = 3e-10
 #: A slope is measured anew only over steps larger than this (lines): below, rounding would spoil it.
 _SLOPE_STEP = 1e-5
 _MAX_STEPS = 150
+#: Newton's steps to where a plane meets a point, at most; such a step squared, and what a plane leaves out
+#: times the error of its slope, are less than `_LINE_STEP` (lines).
+_PLANE_STEPS, _PLANE_STEP, _LEFT_OUT = 8, 1e-5, 1e-7
 #: Steps of the scan for points whose line the ends of the image do not bracket, and of the look before it.
 _SCAN, _COARSE = 96, 12
 
@@ -32,6 +35,18 @@ def _stencil(x: float, count: int) -> tuple[int, float, float, float, float]:
     start = min(max(int(np.floor(x)) - 1, 0), count - 4)
     w0, w1, w2, w3 = unit_weights(x - start)
     return start, w0, w1, w2, w3
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _slope_weights(x: float) -> tuple[float, float, float, float]:
+    """What the weights of `_stencil` change by with the place, `x` rows after its first row."""
+    a, b, c = x - 1.0, x - 2.0, x - 3.0
+    return (
+        -(a * b + a * c + b * c) / 6.0,
+        0.5 * (b * c + x * c + x * b),
+        -0.5 * (a * c + x * c + x * a),
+        (a * b + x * b + x * a) / 6.0,
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -46,10 +61,7 @@ def _curve(curve: Array, column: float) -> tuple[float, float, float, float]:
         along, across = curve[i + 1, 0] - curve[i, 0], curve[i + 1, 1] - curve[i, 1]
         return curve[i, 0] + (column - i) * along, curve[i, 1] + (column - i) * across, along, across
     i, w0, w1, w2, w3 = _stencil(column, count)
-    x = column - i
-    a, b, c = x - 1.0, x - 2.0, x - 3.0
-    d0, d1 = -(a * b + a * c + b * c) / 6.0, 0.5 * (b * c + x * c + x * b)
-    d2, d3 = -0.5 * (a * c + x * c + x * a), (a * b + x * b + x * a) / 6.0
+    d0, d1, d2, d3 = _slope_weights(column - i)
     return (
         w0 * curve[i, 0] + w1 * curve[i + 1, 0] + w2 * curve[i + 2, 0] + w3 * curve[i + 3, 0],
         w0 * curve[i, 1] + w1 * curve[i + 1, 1] + w2 * curve[i + 2, 1] + w3 * curve[i + 3, 1],
@@ -101,8 +113,8 @@ def line_rays(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _in_camera(table: Array, x: float, p: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Vector from the camera at table place `x` to the point `p` (less the origin), camera axes, any length.
+def _into_camera(table: Array, x: float) -> tuple[float, ...]:
+    """What leads into the camera at table place `x`: three rows, their sign, and the place of the camera.
 
     The exact inverse of the interpolated matrix, by cross products of its columns: between lines it is a
     rotation only to second order in the motion of one line.
@@ -124,15 +136,27 @@ def _in_camera(table: Array, x: float, p: tuple[float, float, float]) -> tuple[f
         w0 * a[7] + w1 * b[7] + w2 * c[7] + w3 * d[7],
         w0 * a[8] + w1 * b[8] + w2 * c[8] + w3 * d[8],
     )
-    qx = p[0] - (w0 * a[9] + w1 * b[9] + w2 * c[9] + w3 * d[9])
-    qy = p[1] - (w0 * a[10] + w1 * b[10] + w2 * c[10] + w3 * d[10])
-    qz = p[2] - (w0 * a[11] + w1 * b[11] + w2 * c[11] + w3 * d[11])
     ax, ay, az = yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx
-    sign = 1.0 if xx * ax + xy * ay + xz * az > 0.0 else -1.0
+    return (
+        ax, ay, az,
+        zy * xz - zz * xy, zz * xx - zx * xz, zx * xy - zy * xx,
+        xy * yz - xz * yy, xz * yx - xx * yz, xx * yy - xy * yx,
+        1.0 if xx * ax + xy * ay + xz * az > 0.0 else -1.0,
+        w0 * a[9] + w1 * b[9] + w2 * c[9] + w3 * d[9],
+        w0 * a[10] + w1 * b[10] + w2 * c[10] + w3 * d[10],
+        w0 * a[11] + w1 * b[11] + w2 * c[11] + w3 * d[11],
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _seen(into: tuple[float, ...], p: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Vector from the camera to the point `p` (less the origin), camera axes; its length to second order."""
+    ax, ay, az, bx, by, bz, cx, cy, cz, sign, x, y, z = into
+    qx, qy, qz = p[0] - x, p[1] - y, p[2] - z
     return (
         sign * (qx * ax + qy * ay + qz * az),
-        sign * (qx * (zy * xz - zz * xy) + qy * (zz * xx - zx * xz) + qz * (zx * xy - zy * xx)),
-        sign * (qx * (xy * yz - xz * yy) + qy * (xz * yx - xx * yz) + qz * (xx * yy - xy * yx)),
+        sign * (qx * bx + qy * by + qz * bz),
+        sign * (qx * cx + qy * cy + qz * cz),
     )
 
 
@@ -143,29 +167,29 @@ def seen_tangents(points: Array, lines: Array, table: Array, first: float, origi
         p = (points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2])
         out[n] = np.nan
         if np.isfinite(lines[n]):
-            x, y, z = _in_camera(table, lines[n] - first, p)
+            x, y, z = _seen(_into_camera(table, lines[n] - first), p)
             if z > 0.0:
                 out[n, 0], out[n, 1] = x / z, y / z
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _miss(
-    table: Array, x: float, p: tuple[float, float, float], axis: Array, curve: Array, straight: bool
-) -> tuple[float, float]:
-    """How far across the detector line the point appears at table place `x` (tangent), and its column.
+    seen: tuple[float, float, float], axis: Array, curve: Array, straight: bool
+) -> tuple[float, float, float]:
+    """How far across the detector line a vector in camera axes points (tangent), its column and its depth.
 
-    NaN when the point is not in front of the camera.
+    NaN when it does not point in front of the camera.
     """
-    cx, cy, cz = _in_camera(table, x, p)
+    cx, cy, cz = seen
     if not cz > 0.0:
-        return np.nan, np.nan
+        return np.nan, np.nan, np.nan
     u, v = cx / cz, cy / cz
     along, across = axis[0] * u + axis[1] * v, axis[0] * v - axis[1] * u
     last = len(curve) - 1
     step = (curve[last, 0] - curve[0, 0]) / last
     column = (along - curve[0, 0]) / step
     if straight:
-        return across - curve[0, 1], column
+        return across - curve[0, 1], column, cz
     height = curve[0, 1]
     for _ in range(20):
         place, height, slope, slope_across = _curve(curve, column)
@@ -174,7 +198,55 @@ def _miss(
         height += slope_across * change
         if abs(change) < 1e-11 * (1.0 + abs(column)):
             break
-    return across - height, column
+    return across - height, column, cz
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _beside(planes: Array, x: float, p: tuple[float, float, float]) -> tuple[float, float]:
+    """How far the point lies beside the plane of the detector line at place `x`, and how that changes."""
+    i, w0, w1, w2, w3 = _stencil(x, len(planes))
+    d0, d1, d2, d3 = _slope_weights(x - i)
+    apart, slope = 0.0, 0.0
+    for k in range(4):
+        q0, q1, q2, q3 = planes[i, k], planes[i + 1, k], planes[i + 2, k], planes[i + 3, k]
+        factor = p[k] if k < 3 else -1.0
+        apart += factor * (w0 * q0 + w1 * q1 + w2 * q2 + w3 * q3)
+        slope += factor * (d0 * q0 + d1 * q1 + d2 * q2 + d3 * q3)
+    return apart, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _met_by_plane(
+    table: Array,
+    planes: Array,
+    low: float,
+    high: float,
+    g_low: float,
+    g_high: float,
+    p: tuple[float, float, float],
+    axis: Array,
+    curve: Array,
+) -> tuple[float, float]:
+    """Table place where the plane of a straight detector line meets the point, and the column there.
+
+    Newton's steps from where `g_low` and `g_high`, how far the point lies beside the planes of both ends, let
+    expect it. NaN where these leave the range, or where the miss does not agree but for what interpolating
+    planes in place of poses leaves out.
+    """
+    x = low - g_low * (high - low) / (g_high - g_low)
+    for _ in range(_PLANE_STEPS):
+        apart, slope = _beside(planes, x, p)
+        step = -apart / slope
+        x += step
+        if not low < x < high:
+            break
+        if abs(step) < _PLANE_STEP:
+            f, column, depth = _miss(_seen(_into_camera(table, x), p), axis, curve, True)
+            step = -f * depth / slope
+            if abs(step) < _LEFT_OUT:
+                return x + step, column
+            break
+    return np.nan, np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -200,7 +272,7 @@ def _solve_line(
     if abs(b - x) < abs(x - a):
         x_before, f_before = b, fb
     for step_number in range(_MAX_STEPS):
-        f, column = _miss(table, x, p, axis, curve, straight)
+        f, column, _ = _miss(_seen(_into_camera(table, x), p), axis, curve, straight)
         if not np.isfinite(f):
             return np.nan, np.nan
         if (f > 0.0) == (fa > 0.0):
@@ -240,7 +312,8 @@ def _only_crossing(
     """
     crossings, largest, smallest, f_before = 0, 0.0, abs(f_low), f_low
     for k in range(1, _COARSE + 1):
-        f, _ = _miss(table, low + (high - low) * k / _COARSE, p, axis, curve, straight)
+        x = low + (high - low) * k / _COARSE
+        f, _, _ = _miss(_seen(_into_camera(table, x), p), axis, curve, straight)
         if not np.isfinite(f + f_before):
             return False
         crossings += (f > 0.0) != (f_before > 0.0)
@@ -259,22 +332,44 @@ def find_lines(
     straight: bool,
     lines: tuple[float, float],
     columns: tuple[float, float],
+    planes: Array,
     pixels: Array,
 ) -> None:
     """Pixels (line, column) that see `points` (N, 3), into `pixels` (N, 2); NaN where none does.
 
+    `planes` (R, 4), one for each pose of the table: the plane in which a straight detector line looks, its
+    normal, which times a vector is the vector's miss times its depth, and what that gives of the camera's own
+    place; (0, 4) of a bent line.
     The miss at both ends of the range of lines brackets the answer in the common case. Where that finds
     nothing and the miss does more than fall from one end to the other, the range is scanned for any change of
     sign, and the first crossing inside the range of columns wins.
     """
     low, high = lines[0] - first, lines[1] - first
+    at_low, at_high = _into_camera(table, low), _into_camera(table, high)
+    by_plane = len(planes) > 0
+    beside_low, beside_high = np.zeros(4), np.zeros(4)
+    if by_plane:
+        for x, beside in ((low, beside_low), (high, beside_high)):
+            i, w0, w1, w2, w3 = _stencil(x, len(planes))
+            for k in range(4):
+                beside[k] = (
+                    w0 * planes[i, k] + w1 * planes[i + 1, k] + w2 * planes[i + 2, k] + w3 * planes[i + 3, k]
+                )
     for n in range(len(points)):
         pixels[n] = np.nan
         if not np.isfinite(points[n, 0] + points[n, 1] + points[n, 2]):
             continue
         p = (points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2])
-        f_low, _ = _miss(table, low, p, axis, curve, straight)
-        f_high, _ = _miss(table, high, p, axis, curve, straight)
+        if by_plane:
+            g_low = p[0] * beside_low[0] + p[1] * beside_low[1] + p[2] * beside_low[2] - beside_low[3]
+            g_high = p[0] * beside_high[0] + p[1] * beside_high[1] + p[2] * beside_high[2] - beside_high[3]
+            if g_low * g_high < 0.0:
+                x, column = _met_by_plane(table, planes, low, high, g_low, g_high, p, axis, curve)
+                if columns[0] <= column <= columns[1]:
+                    pixels[n, 0], pixels[n, 1] = x + first, column
+                    continue
+        f_low, _, _ = _miss(_seen(at_low, p), axis, curve, straight)
+        f_high, _, _ = _miss(_seen(at_high, p), axis, curve, straight)
         if f_low * f_high <= 0.0:
             x, column = _solve_line(table, low, high, f_low, f_high, p, axis, curve, straight)
             if columns[0] <= column <= columns[1]:
@@ -285,7 +380,7 @@ def find_lines(
         a, fa = low, f_low
         for k in range(1, _SCAN + 1):
             b = low + (high - low) * k / _SCAN
-            fb, _ = _miss(table, b, p, axis, curve, straight)
+            fb, _, _ = _miss(_seen(_into_camera(table, b), p), axis, curve, straight)
             if fa * fb <= 0.0:
                 x, column = _solve_line(table, a, b, fa, fb, p, axis, curve, straight)
                 if columns[0] <= column <= columns[1]:

@@ -40,6 +40,18 @@ _KEPT, _KEPT_ROWS, _WORTH_KEEPING = 64, 200_000, 200
 _KEEPING = threading.Lock()
 
 
+def _departed(reference: Rotation, angles: Array) -> Rotation:
+    """Rotations (M,), each after that by its row of `angles` (M, 3) rad: ``*`` takes ten times as long."""
+    (x, y, z, w), (a, b, c, d) = reference.as_quat().T, Rotation.from_rotvec(angles).as_quat().T
+    product = (
+        w * a + x * d + y * c - z * b,
+        w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d,
+        w * d - x * a - y * b - z * c,
+    )
+    return Rotation.from_quat(np.stack(product, axis=1))
+
+
 def _check_span(t: Array, span: tuple[float, float], what: str) -> None:
     """Raise SpanError if a time lies outside `span`; `what` names what would have to be longer."""
     outside = (t < span[0] - TIME_SLACK) | (t > span[1] + TIME_SLACK)
@@ -311,7 +323,7 @@ class Trajectory(ReadOnlyArrays):
         reference = self._reference(times)
         attitude = reference.world_from_body
         if self.motion is not None:
-            attitude = attitude * Rotation.from_rotvec(self.motion.at(times))
+            attitude = _departed(attitude, self.motion.at(times))
         return Pose(reference.position.copy(), attitude)
 
     def mean_at(self, t: ArrayLike, around: ArrayLike) -> MeanPose:
@@ -327,7 +339,7 @@ class Trajectory(ReadOnlyArrays):
         if self.motion is not None:
             near = np.clip(times[:, np.newaxis] + offsets, *self.motion.span)
             angles = self.motion.at(near.ravel()).reshape(*near.shape, 3)
-            attitude = attitude * Rotation.from_rotvec(angles.mean(axis=1))
+            attitude = _departed(attitude, angles.mean(axis=1))
             moment = moment + np.einsum("k,mka->ma", offsets / len(offsets), angles)
         return MeanPose(reference.position.copy(), attitude, moment)
 
