@@ -42,8 +42,8 @@ SMOOTH = 64
 ROUGH = 6
 #: Highest frequency (cycles per line) that must come through between uneven lines, as between even ones.
 _BAND = 0.38
-#: Places per line at which autocorrelations are tabulated.
-_TABLED = 1024
+#: Places per line at which autocorrelations are tabulated; weights of uneven lines that are found together.
+_TABLED, _ABREAST = 1024, 16
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -61,57 +61,101 @@ def _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out):  # t
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _fill_uneven_weights(places, row, line, share, flat, work, out):  # type: ignore[no-untyped-def]
-    """Weights of lines row - 3 .. row + 4 at the position `line` where these stand as `places` says.
+def _fill_uneven_weights(places, rows, lines, shares, flat, out):  # type: ignore[no-untyped-def]
+    """Weights (N, 8) of lines rows - 3 .. rows + 4 at positions `lines`, where these stand as `places` says.
 
     Those of `resample.delay_weights`, with the lines where they are: the normal matrix is the autocorrelation
     of a spectrum that is flat up to a frequency between the lines, the right side that between lines and
     place; `flat` tabulates it (`_flat_table`), its last entry stands for what is farther, beyond a gap in the
-    lines. `share` of the way from the first to the last column; `work` (11, 8) of scratch.
+    lines. `shares` of the way from the first to the last column. Some positions are worked on side by side:
+    the innermost loops are those that a processor does at once.
     """
-    x, factor = work[0], work[1:9]
-    for k in range(8):
-        line_k = row - 3 + k
-        x[k] = _TABLED * ((1.0 - share) * places[line_k, 0] + share * places[line_k, 1])
-    a, b, c, d = unit_weights(line - row + 1.0)
-    y = a * x[2] + b * x[3] + c * x[4] + d * x[5]
-    free, ones = work[9], work[10]
+    x, y = np.empty((8, _ABREAST)), np.empty(_ABREAST)
+    free, ones, factor = np.empty((8, _ABREAST)), np.empty((8, _ABREAST)), np.empty((8, 8, _ABREAST))
     last = len(flat) - 2
-    for i in range(8):
-        for j in range(i):
-            lag = min(abs(x[i] - x[j]), last + 1.0)
-            at = min(int(lag), last)
-            factor[i, j] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
-        factor[i, i] = flat[0] + 1e-9
-        lag = min(abs(x[i] - y), last + 1.0)
-        at = min(int(lag), last)
-        free[i] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
-        ones[i] = 1.0
-    for i in range(8):  # Cholesky, the inverse of its diagonal in its place, and forward substitution
-        for j in range(i):
-            total = factor[i, j]
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            factor[i, j] = total * factor[j, j]
-        total = factor[i, i]
-        for k in range(i):
-            total -= factor[i, k] * factor[i, k]
-            free[i] -= factor[i, k] * free[k]
-            ones[i] -= factor[i, k] * ones[k]
-        factor[i, i] = 1.0 / np.sqrt(max(total, 1e-12))
-        free[i] *= factor[i, i]
-        ones[i] *= factor[i, i]
-    sum_free, sum_ones = 0.0, 0.0
-    for i in range(7, -1, -1):
-        for k in range(i + 1, 8):
-            free[i] -= factor[k, i] * free[k]
-            ones[i] -= factor[k, i] * ones[k]
-        free[i] *= factor[i, i]
-        ones[i] *= factor[i, i]
-        sum_free += free[i]
-        sum_ones += ones[i]
-    for i in range(8):
-        out[i] = free[i] + ones[i] / sum_ones * (1.0 - sum_free)
+    for begin in range(0, len(rows), _ABREAST):
+        for n in range(_ABREAST):
+            place = min(begin + n, len(rows) - 1)
+            row, share = rows[place], shares[place]
+            for k in range(8):
+                line = row - 3 + k
+                x[k, n] = _TABLED * ((1.0 - share) * places[line, 0] + share * places[line, 1])
+            a, b, c, d = unit_weights(lines[place] - row + 1.0)
+            y[n] = a * x[2, n] + b * x[3, n] + c * x[4, n] + d * x[5, n]
+        for i in range(8):
+            for j in range(i):
+                for n in range(_ABREAST):
+                    lag = min(abs(x[i, n] - x[j, n]), last + 1.0)
+                    at = min(int(lag), last)
+                    factor[i, j, n] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
+            for n in range(_ABREAST):
+                lag = min(abs(x[i, n] - y[n]), last + 1.0)
+                at = min(int(lag), last)
+                free[i, n] = flat[at] + (lag - at) * (flat[at + 1] - flat[at])
+                factor[i, i, n], ones[i, n] = flat[0] + 1e-9, 1.0
+        for i in range(8):  # Cholesky, the inverse of its diagonal in its place, and forward substitution
+            for j in range(i):
+                for k in range(j):
+                    for n in range(_ABREAST):
+                        factor[i, j, n] -= factor[i, k, n] * factor[j, k, n]
+                for n in range(_ABREAST):
+                    factor[i, j, n] *= factor[j, j, n]
+            for k in range(i):
+                for n in range(_ABREAST):
+                    factor[i, i, n] -= factor[i, k, n] * factor[i, k, n]
+                    free[i, n] -= factor[i, k, n] * free[k, n]
+                    ones[i, n] -= factor[i, k, n] * ones[k, n]
+            for n in range(_ABREAST):
+                factor[i, i, n] = 1.0 / np.sqrt(max(factor[i, i, n], 1e-12))
+                free[i, n] *= factor[i, i, n]
+                ones[i, n] *= factor[i, i, n]
+        for i in range(7, -1, -1):
+            for k in range(i + 1, 8):
+                for n in range(_ABREAST):
+                    free[i, n] -= factor[k, i, n] * free[k, n]
+                    ones[i, n] -= factor[k, i, n] * ones[k, n]
+            for n in range(_ABREAST):
+                free[i, n] *= factor[i, i, n]
+                ones[i, n] *= factor[i, i, n]
+        for n in range(min(_ABREAST, len(rows) - begin)):
+            sum_free, sum_ones = 0.0, 0.0
+            for i in range(8):
+                sum_free += free[i, n]
+                sum_ones += ones[i, n]
+            for i in range(8):
+                out[begin + n, i] = free[i, n] + ones[i, n] / sum_ones * (1.0 - sum_free)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _uneven(position, lines, places, shares, slack, flat):  # type: ignore[no-untyped-def]
+    """Weights (E, 8) of uneven lines, and which of them serve the ends of each interval (rows, nodes - 1, 2).
+
+    Intervals of one row of the image share those of the node between them. -1 where too much is turned, or
+    the kernel would leave the image (of so many `lines`).
+    """
+    rows, count = position.shape[0], position.shape[1] - 1
+    number, used = np.full((rows, count, 2), -1), 0
+    row_of, at = np.empty(2 * rows * count, np.int64), np.empty((2, 2 * rows * count))
+    for i in range(rows):
+        before = -1
+        for m in range(count):
+            l0, l1 = position[i, m, 0], position[i, m + 1, 0]
+            row = int(np.floor(0.5 * (l0 + l1)))
+            if not abs(l1 - l0) <= slack or row < 3 or row + 4 >= lines:
+                before = -1
+                continue
+            for end in range(2):
+                if end == 0 and row == before:
+                    number[i, m, 0] = number[i, m - 1, 1]
+                    continue
+                row_of[used], at[0, used] = row, position[i, m + end, 0]
+                at[1, used] = shares[0] + shares[1] * position[i, m + end, 1]
+                number[i, m, end] = used
+                used += 1
+            before = row
+    weights = np.empty((used, 8), np.float32)
+    _fill_uneven_weights(places, row_of[:used], at[0, :used], at[1, :used], flat, weights)
+    return weights, number
 
 
 @cache
@@ -126,12 +170,11 @@ def _flat_table() -> Array:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before, places, shares, flat, work):  # type: ignore[no-untyped-def]
-    """The same where positions run almost with the pixels.
+def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, uneven, ends):  # type: ignore[no-untyped-def]
+    """The same where positions run almost with the pixels; whether it is served.
 
-    Lines first, then columns, weights carried linearly. `places` of the image's lines, where they are uneven,
-    and the `shares` of the way from its first to its last column at which the ends lie; `before` is the row
-    of the interval before, whose weights `w` still holds, or -1. Returns its own row, -1 if not served.
+    Lines first, then columns, weights carried linearly; where lines are `uneven`, those for lines at both
+    `ends` are given.
     """
     rows, columns = image.shape
     n = last - first
@@ -139,14 +182,10 @@ def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before,
     shift0, shift1 = c0, c1 - n
     offset = int(np.floor(0.5 * (shift0 + shift1)))
     if row < 3 or row + 4 >= rows or offset < 3 or offset + n + 4 >= columns:
-        return -1
-    if len(places):
-        if before == row:
-            for k in range(8):  # a whole row at once would compile the words of an error with it
-                w[0, k] = w[1, k]
-        else:
-            _fill_uneven_weights(places, row, l0, shares[0], flat, work, w[0])
-        _fill_uneven_weights(places, row, l1, shares[1], flat, work, w[1])
+        return False
+    if len(uneven):
+        for k in range(8):  # a whole row at once would compile the words of an error with it
+            w[0, k], w[1, k] = uneven[ends[0], k], uneven[ends[1], k]
     else:
         fill_weights(table, l0 - row, w[0])
         fill_weights(table, l1 - row, w[1])
@@ -183,7 +222,7 @@ def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out, before,
         slope = b0 * q0[j] + b1 * q1[j] + b2 * q2[j] + b3 * q3[j]
         slope += b4 * q4[j] + b5 * q5[j] + b6 * q6[j] + b7 * q7[j]
         part[j] = here + np.float32(j) * scale * slope
-    return row
+    return True
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -194,28 +233,26 @@ def _warp(image, position, nodes, start, slack, table, out, places, shares, flat
     are even; `shares` (2,): how far between these the image's column 0 lies, and the step to the next;
     `flat`: `_flat_table`.
     """
-    work, ends = np.empty((11, 8)), np.empty(2)
     wy, wx = np.empty(8, np.float32), np.empty(8, np.float32)
     w = np.empty((4, 8), np.float32)
     longest = 0
     for m in range(len(nodes) - 1):
         longest = max(longest, nodes[m + 1] - nodes[m])
     v = np.empty((3, longest + 8), np.float32)
-    none = np.int64(-1)  # of a type, not a literal: what it is given to would be compiled for either
+    uneven, ends = np.empty((0, 8), np.float32), np.empty((1, 1, 2), np.int64)
+    if len(places):
+        uneven, ends = _uneven(position, len(image), places, shares, slack, flat)
     for i in range(out.shape[0]):
-        row = none
         for m in range(len(nodes) - 1):
             first, last = nodes[m] - start, nodes[m + 1] - start
             n = last - first
             l0, l1 = position[i, m, 0], position[i, m + 1, 0]
             c0, c1 = position[i, m, 1], position[i, m + 1, 1]
-            before, row = row, none
-            if abs(l1 - l0) <= slack and abs(c1 - c0 - n) <= slack:
-                ends[0], ends[1] = shares[0] + shares[1] * c0, shares[0] + shares[1] * c1
-                row = _fast_interval(
-                    image, l0, l1, c0, c1, first, last, table, w, v, out[i], before, places, ends, flat, work
-                )
-            if row < 0:
+            served = abs(l1 - l0) <= slack and abs(c1 - c0 - n) <= slack
+            if served:
+                own = ends[i, m] if len(uneven) else ends[0, 0]
+                served = _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out[i], uneven, own)
+            if not served:
                 _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out[i])
 
 
