@@ -29,6 +29,14 @@ def test_every_window_is_in_one_group_and_none_reads_columns_between_windows_far
         assert widest > apart
 
 
+def test_lines_between_rows_of_windows_far_apart_are_not_read():
+    points = grid(300.0 + 100.0 * np.arange(12))[: 12 * 200]
+    rows = np.flatnonzero(points[:, 0] % 300.0 == 40.0)
+    groups = list(group_windows(points, points, rows, WINDOW, 1_500_000))
+    assert np.array_equal(np.sort(np.concatenate(groups)), rows)
+    assert len(groups) == 3 and all(np.ptp(points[group, 0]) == 0 for group in groups)
+
+
 def test_few_windows_far_apart_stay_together():
     # two rows at nine columns: pieces of 40 x 140 px each, whose calls would cost more than what lies between
     points = grid(300.0 + 600.0 * np.arange(9))[:18]

@@ -116,8 +116,8 @@ def group_windows(
     Notes
     -----
     A group is halved along the longer side of its box until the box is small enough and not mostly empty,
-    then cut between columns of windows that stand far apart. The groups depend on the points only, never on
-    the number of threads.
+    then cut between rows and between columns of windows that stand far apart. The groups depend on the points
+    only, never on the number of threads.
     """
     stack = [rows]
     window = (size[0] + 2 * _MARGIN) * (size[1] + 2 * _MARGIN)
@@ -138,13 +138,26 @@ def group_windows(
 def _apart(
     points: NDArray[np.float64], group: NDArray[np.intp], size: tuple[int, int]
 ) -> list[NDArray[np.intp]]:
-    """A group cut where no window needs the columns between, unless the pieces come out too small to pay."""
-    order = group[np.argsort(points[group, 1], kind="stable")]
-    gaps = np.flatnonzero(np.diff(points[order, 1]) > size[1] + 2 * _MARGIN) + 1
-    pieces = np.split(order, gaps)
-    tall = float(np.ptp(points[group, 0])) + size[0] + 2 * _MARGIN
-    wide = [float(np.ptp(points[piece, 1])) + size[1] + 2 * _MARGIN for piece in pieces]
-    if len(pieces) == 1 or tall * sum(wide) < _LEAST_PIXELS * len(pieces):
+    """A group cut where no window needs the lines or the columns between, unless the pieces are too small."""
+    pieces = [group]
+    for axis in (0, 1):
+        pieces = [some for piece in pieces for some in _cut(points, piece, size, axis)]
+    return pieces
+
+
+def _cut(
+    points: NDArray[np.float64], group: NDArray[np.intp], size: tuple[int, int], axis: int
+) -> list[NDArray[np.intp]]:
+    """The same along one axis."""
+    along = points[group, axis]
+    order = np.argsort(along, kind="stable")
+    gaps = np.flatnonzero(np.diff(along[order]) > size[axis] + 2 * _MARGIN) + 1
+    if not len(gaps):
+        return [group]
+    pieces = np.split(group[order], gaps)
+    reach = [float(np.ptp(points[piece, axis])) + size[axis] + 2 * _MARGIN for piece in pieces]
+    beside = float(np.ptp(points[group, 1 - axis])) + size[1 - axis] + 2 * _MARGIN
+    if beside * sum(reach) < _LEAST_PIXELS * len(pieces):
         return [group]
     return [np.sort(piece) for piece in pieces]
 

@@ -246,7 +246,8 @@ def _turn(
     shift: NDArray[np.float64], wy: NDArray[np.float64], wx: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
     """Phase factors that undo a shift."""
-    return np.asarray(np.exp(1j * (shift[:, :1, None] * wy + shift[:, 1:, None] * wx)))
+    along, across = np.exp(1j * shift[:, :1] * wy[:, 0]), np.exp(1j * shift[:, 1:] * wx[0])
+    return np.asarray(along[:, :, None] * across[:, None, :])
 
 
 def _aligned(

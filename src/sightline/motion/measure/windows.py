@@ -162,19 +162,21 @@ def _brightest(
     measured = np.isfinite(pixels)
     whole = bool(measured.all())
     table = pixels if whole else np.where(measured, pixels, np.float32(0.0))
-    count = np.ones(pixels.shape, dtype=np.float32) if whole else measured.astype(np.float32)
     out = np.full((len(top), len(left)), np.nan)
     edges = np.linspace(0, width, max(1, min(PARTS, width // LEAST_PART)) + 1).astype(np.intp)
     for begin, end in pairwise(edges):
         size = (height, int(end - begin))
-        number = _area_sums(count, top, left + begin, size)
-        mean = _area_sums(table, top, left + begin, size) / np.where(number > 0, number, np.nan)
-        out = np.fmax(out, mean)
+        sums = _area_sums(table, top, left + begin, size)
+        number = math.prod(size) if whole else _area_sums(measured, top, left + begin, size)
+        out = np.fmax(out, sums / np.where(number > 0, number, np.nan))
     return out
 
 
 def _area_sums(
-    table: NDArray[np.float32], top: NDArray[np.intp], left: NDArray[np.intp], window: tuple[int, int]
+    table: NDArray[np.float32] | NDArray[np.bool_],
+    top: NDArray[np.intp],
+    left: NDArray[np.intp],
+    window: tuple[int, int],
 ) -> Array:
     """Sums (rows, blocks) over windows of a table."""
     height, width = window
