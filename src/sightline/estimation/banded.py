@@ -46,6 +46,8 @@ ROWS_AT_ONCE = 32768
 SWEEP_COLUMNS = 8
 
 
+#: Subdiagonals of an inverse that are kept at least: what covariances of neighbours and windows ask for.
+INVERSE_KEPT = 96
 #: Columns of the inverse that are found at once, and how many times as many its window moves through before
 #: it is put back.
 INVERSE_BLOCK, INVERSE_ROOM = 32, 4
@@ -203,15 +205,18 @@ class BandedFactor:
         # A band wider than the matrix holds nothing beyond the first n rows.
         band = band[: band.shape[1]]
         self._make(len(band) - 1, band.shape[1], band.shape[1], lambda first, last: band)
+        self._kept_width = 0
 
     @classmethod
     def of_columns(cls, subdiagonals: int, n: int, columns: Callable[[int, int], Array]) -> BandedFactor:
         """The factor of a matrix whose columns [first, last) ``columns(first, last)`` gives, (b + 1, m).
 
-        These arrays may be written to.
+        These arrays may be written to. Such a factor keeps what was asked of its inverse last, as wide as
+        `INVERSE_KEPT` at least: many ask, and the width hardly counts.
         """
         out, b = cls.__new__(cls), min(subdiagonals, n - 1)
         out._make(b, n, piece_columns(b), columns)
+        out._kept_width = min(INVERSE_KEPT, b)
         return out
 
     def _make(self, subdiagonals: int, n: int, size: int, columns: Callable[[int, int], Array]) -> None:
@@ -219,6 +224,7 @@ class BandedFactor:
         self._b, self._n = subdiagonals, n
         self._spans = [(k, min(k + size, n)) for k in range(0, n, size)]
         self._pieces = Pieces(0 if size >= n else 8 * (subdiagonals + 1) * n)
+        self._inverse: tuple[int, Pieces] | None = None
         self._logdet = 0.0
         carried = np.zeros((0, 0))
         for number, (first, last) in enumerate(self._spans):
@@ -287,12 +293,26 @@ class BandedFactor:
 
     def inverse_pieces(self, width: int) -> Iterator[tuple[int, Array]]:
         """Pieces of `inverse_band`, the last first: first column, band (width + 1, m)."""
+        backwards = reversed(list(enumerate(self._spans)))
+        if self._inverse is not None and self._inverse[0] >= width:
+            for number, (first, _) in backwards:
+                kept = self._inverse[1].get(number)
+                assert kept is not None
+                yield first, kept[: width + 1]
+            return
+        # of a wider window it would be the same but for rounding
+        found = max(width, self._kept_width) if width <= self._b else width
+        pieces = Pieces(8 * (found + 1) * self._n) if 0 < self._kept_width else None
         # rows past the end of the matrix stay zero
         keep = max(self._b, min(width, self._n - 1))
         window = np.zeros((keep, keep))
-        for number, (first, _) in reversed(list(enumerate(self._spans))):
-            band, window = inverse_columns(self._piece(number).T, width, window)
-            yield first, band
+        for number, (first, _) in backwards:
+            band, window = inverse_columns(self._piece(number).T, found, window)
+            if pieces is not None:
+                pieces.put(number, band)
+            yield first, band[: width + 1]
+        if pieces is not None:
+            self._inverse = found, pieces
 
     def inverse_band(self, width: int) -> Array:
         """Band of the inverse: ``out[d, j] = inv(M)[j + d, j]``, shape (width + 1, n).
