@@ -51,6 +51,8 @@ _scratch: ContextVar[Path | None] = ContextVar("_scratch", default=None)
 #: The scratch files that arrays lie in, made on any thread.
 _mapped: WeakSet[mmap.mmap] = WeakSet()
 _mapping = Lock()
+#: Page faults of this process when pages of these last left its memory, and how many are waited for.
+_faults, _PAGES = 0, 512
 
 
 @contextmanager
@@ -299,8 +301,18 @@ def _reserve(file: BinaryIO, size: int) -> None:
 
 
 def let_go() -> None:
-    """Pages of scratch files leave the memory of this process; what they hold is read again when needed."""
+    """Pages of scratch files leave the memory of this process; what they hold is read again when needed.
+
+    Not before `_PAGES` faults of any kind: until then few can have come.
+    """
     if hasattr(mmap, "MADV_DONTNEED"):
+        import resource
+
+        global _faults
+        faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        if faults - _faults < _PAGES:
+            return
+        _faults = faults
         with _mapping:
             files = list(_mapped)
         for mapped in files:

@@ -32,7 +32,7 @@ from sightline.matching.matches import NOT_CHOSEN, OUTSIDE, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
 from sightline.motion.measure.plan import MatchingPlan, hub_windows
-from sightline.motion.measure.stars import Filters, StarRecord, match_star
+from sightline.motion.measure.stars import StarRecord, learned_filters, match_star
 from sightline.motion.results import (
     ControlFit,
     LineOfSight,
@@ -611,13 +611,8 @@ def _match(
     hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan, strip.views)
     windows = [len(grid.centres) * len(partners) for _, partners, grid in hubs]
     out: list[StarRecord] = []
-    filters: Filters = {}
-    for record in before if learned else ():
-        pairs = ((record.star.hub, image) for image in record.star.images)
-        # where too little could be seen, thinned or not compensated yet, it is tried again
-        filters.update(
-            (pair, one) for pair, one in zip(pairs, record.filters, strict=True) if one is not None
-        )
+    # where too little could be seen, thinned or not compensated yet, it is tried again
+    filters = learned_filters(before) if learned else {}
     for hub, partners, grid in hubs:
         done, total = sum(windows[: len(out)]), sum(windows)
         star = match_star(

@@ -101,6 +101,16 @@ class StarRecord:
     filters: tuple[Whitening | None, ...] = ()
 
 
+def learned_filters(records: Sequence[StarRecord]) -> Filters:
+    """Filters of all pairs of these stars that kept them; without those of which too little could be seen."""
+    return {
+        (record.star.hub, image): one
+        for record in records
+        for image, one in zip(record.star.images, record.filters, strict=False)
+        if one is not None
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class _Strips:
     """All strips about one hub, and how they are laid on it."""

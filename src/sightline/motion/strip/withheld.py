@@ -27,7 +27,8 @@ from sightline.motion.measure.common_view import Views, common_views, usable
 from sightline.motion.measure.laid_strips import laid_on
 from sightline.motion.measure.match_noise import plain_variance, robust_weights
 from sightline.motion.measure.observations import Star
-from sightline.motion.measure.stars import StarRecord, match_star
+from sightline.motion.measure.predict import MovingCamera
+from sightline.motion.measure.stars import StarRecord, learned_filters, match_star
 from sightline.motion.measure.windows import WindowGrid, exposure_times, near_instants
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
@@ -191,17 +192,25 @@ def judged(strip: Strip, state: StripState, options: RecoverOptions) -> tuple[Wi
     asked = strip.withheld
     pairs = list(asked) or unused_pairs(strip, state.records)
     most = ASKED_WINDOWS if asked else SAMPLE_WINDOWS
+    cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
     out: list[WithheldAxis] = []
     for a, b in pairs:
-        out += _judged_pair(strip, state, options, (a, b), most, asked=bool(asked))
+        out += _judged_pair(strip, state, options, (a, b), most, cameras, asked=bool(asked))
     return tuple(out)
 
 
 def _judged_pair(
-    strip: Strip, state: StripState, options: RecoverOptions, pair: tuple[int, int], most: int, *, asked: bool
+    strip: Strip,
+    state: StripState,
+    options: RecoverOptions,
+    pair: tuple[int, int],
+    most: int,
+    cameras: Sequence[MovingCamera],
+    *,
+    asked: bool,
 ) -> list[WithheldAxis]:
     """Both axes of one pair; none where too few windows match."""
-    found = compared(strip, state, options, pair, most)
+    found = compared(strip, state, options, pair, most, cameras)
     if found is None:
         return []
     a, b = pair
@@ -248,12 +257,20 @@ class Compared:
 
 
 def compared(
-    strip: Strip, state: StripState, options: RecoverOptions, pair: tuple[int, int], most: int
+    strip: Strip,
+    state: StripState,
+    options: RecoverOptions,
+    pair: tuple[int, int],
+    most: int,
+    cameras: Sequence[MovingCamera],
 ) -> Compared | None:
-    """At most so many windows of `pair` matched and predicted; None where too few of them match."""
+    """At most so many windows of `pair` matched and predicted; None where too few of them match.
+
+    `cameras` carry the motion and the statics of the state.
+    """
     hub, partner = pair
     view = _view(strip, hub, partner)
-    record = _matched(strip, state, options, pair, view[0, 1], most)
+    record = _matched(strip, state, options, pair, view[0, 1], most, cameras)
     if record is None:
         return None
     star, estimate = record.star, state.estimate
@@ -270,12 +287,14 @@ def compared(
     variance[seen] = estimate.row_variance(rows, beside).reshape(-1, 2)
     own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
     own = own * plain_variance(star, error)
-    shared = _shared(strip, state, star, record.filters[0])
+    shared = _shared(strip, state, star, record.filters[0], cameras)
     whole = np.maximum(own + (1.0 - 2.0 * shared) * variance, LEAST_LEFT * own)
     return Compared(star, error[:, 0], np.sqrt(whole), np.sqrt(variance))
 
 
-def _shared(strip: Strip, state: StripState, star: Star, whitening: Whitening | None) -> Array:
+def _shared(
+    strip: Strip, state: StripState, star: Star, whitening: Whitening | None, cameras: Sequence[MovingCamera]
+) -> Array:
     """Covariance (G, 2) of each match's error with that of its prediction, in units of the latter's variance.
 
     Notes
@@ -293,11 +312,17 @@ def _shared(strip: Strip, state: StripState, star: Star, whitening: Whitening | 
         seen = [_exposures(r.star)[image] for r in records if image in (r.star.hub, *r.star.images)]
         if seen:
             apart += near_instants(np.concatenate(seen), t, reach)
-    alike = _alike(strip, state, pair, whitening) if together.any() else np.ones(2)
+    alike = _alike(strip, state, pair, whitening, cameras) if together.any() else np.ones(2)
     return np.where(together[:, None], alike, 0.25 * apart[:, None])
 
 
-def _alike(strip: Strip, state: StripState, pair: tuple[int, int], whitening: Whitening | None) -> Array:
+def _alike(
+    strip: Strip,
+    state: StripState,
+    pair: tuple[int, int],
+    whitening: Whitening | None,
+    cameras: Sequence[MovingCamera],
+) -> Array:
     """Share (2,) of the variance of a pair's matches that those of both bands with a third err by too.
 
     The pair is matched on windows of the hub that was found in both, each laid on it, so that three matches
@@ -313,7 +338,6 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int], whitening: Wh
     which = _whole_rows(used.present[:, ja] & used.present[:, jb], used.shape)
     if used.window is None or len(which) < LEAST_WINDOWS:
         return np.ones(2)
-    cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
     images = [band.image for band in strip.bands]
     first, second = (laid_on(images, cameras, strip.surface, used.hub, image) for image in pair)
     points = used.pixels[which]
@@ -392,6 +416,7 @@ def _matched(
     pair: tuple[int, int],
     view: tuple[int, int],
     most: int,
+    cameras: Sequence[MovingCamera],
 ) -> StarRecord | None:
     """The pair's windows in the recovered cameras: whole rows, evenly spread, none overlapping another.
 
@@ -417,8 +442,10 @@ def _matched(
     rows = min(len(lines), max(most // len(columns), 1))
     lines = lines[np.unique(np.linspace(0, len(lines) - 1, rows).round().astype(int))]
     grid = WindowGrid(whole.window, lines, columns)
-    cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
-    return match_star(images, cameras, strip.surface, hub, (partner,), grid, strip.parameters, plan)
+    filters = learned_filters(state.records)
+    return match_star(
+        images, cameras, strip.surface, hub, (partner,), grid, strip.parameters, plan, filters=filters
+    )
 
 
 def _worth(z: Array) -> float:
