@@ -97,8 +97,21 @@ def test_a_stored_band_and_its_factor_are_those_of_the_whole(monkeypatch, on_dis
     np.testing.assert_allclose(factor.logdet, whole.logdet, rtol=1e-14)
     for rhs in (right, right[:, 0]):
         np.testing.assert_allclose(factor.solve(rhs), whole.solve(rhs), atol=1e-13)
-    for width in (0, 2, 9):
+    # of one asked before, of a wider one, and of what that has left
+    for width in (0, 2, 9, 3):
         np.testing.assert_allclose(factor.inverse_band(width), whole.inverse_band(width), atol=1e-13)
+
+
+def test_an_inverse_is_kept_for_who_asks_next(monkeypatch):
+    band, _ = system()
+    _, factor = stored(band, monkeypatch, on_disk=True)
+    asked = []
+    found = banded.inverse_columns
+    monkeypatch.setattr(banded, "inverse_columns", lambda *given: asked.append(given[1]) or found(*given))
+    pieces = len(list(factor.inverse_pieces(0)))
+    first = [factor.inverse_band(width) for width in (2, B)]
+    assert asked == [B] * pieces
+    np.testing.assert_array_equal(first[1][:3], first[0])
 
 
 def test_a_band_has_the_same_bits_on_disk_and_in_memory(monkeypatch):

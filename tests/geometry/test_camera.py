@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError, SpanError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.checks import read_only
 from sightline.geometry.instrument import AreaDetector, LineDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.rotations import NADIR_MOUNT
@@ -115,6 +116,25 @@ class TestProject:
         point = camera.locate([[450.0, 321.0]], Plane())
         pixel = camera.project(point)
         assert_allclose(camera.locate(pixel, Plane()), point, atol=1e-5)
+
+    @pytest.mark.parametrize("size", [1.0, 30.0])  # the larger one shows some points more than once
+    def test_the_plane_of_a_straight_line_finds_the_lines_that_poses_find(self, size):
+        t = np.linspace(-0.2, 0.8, 4001)
+        waves = [(2.0, 2e-5), (35.0, 3e-6), (130.0, 4e-7)]
+        angles = sum(a * np.sin(2 * np.pi * f * t[:, None] + np.arange(3.0)) for f, a in waves)
+        flight = FLIGHT.with_motion(Motion(t, size * np.asarray(angles)))
+        by_plane, by_poses = pushbroom(flight), pushbroom(flight)
+        by_poses.__dict__["_planes"] = read_only(np.empty((0, 4)))
+        rng = np.random.default_rng(0)
+        points = by_plane.locate(rng.uniform(-0.4, 999.4, (2000, 2)), Plane(50.0))
+        found = by_plane.project(points)
+        if size == 1.0:
+            # both end within 3e-10 lines
+            assert_allclose(found, by_poses.project(points), rtol=0.0, atol=1e-9)
+        seen = np.isfinite(found[:, 0])
+        assert seen.mean() > 0.99
+        # whichever line it is, the point is seen there
+        assert_allclose(by_plane.locate(found[seen], Plane(50.0)), points[seen], atol=1e-7 * size)
 
     def test_motion_in_roll_moves_columns_only(self):
         roll = Motion.zero(-1.0, 2.0).shifted([10 * IFOV, 0.0, 0.0])

@@ -138,9 +138,13 @@ def dense_variance(state, rows, beside) -> np.ndarray:
     return np.einsum("ri,ij,rj->r", both, np.linalg.inv(whole * np.outer(unit, unit)), both)
 
 
+def found_cameras(strip, state):
+    return strip.cameras(state.estimate.nodes, state.estimate.statics)
+
+
 def test_rows_read_what_the_estimate_models_and_their_variance_is_that_of_the_dense_inverse(solved):
     strip, options, state, _ = solved
-    star = compared(strip, state, options, (0, 2), 40).star
+    star = compared(strip, state, options, (0, 2), 40, found_cameras(strip, state)).star
     which = np.flatnonzero(star.present[:, 0])
     rng = np.random.default_rng(0)
     # as of TDI: instants beside those of the windows count more or less
@@ -190,7 +194,7 @@ def test_errors_that_wander_are_part_of_what_is_predicted(wandering):
 
 def test_what_wanders_has_its_part_in_the_variance_of_a_prediction(wandering):
     strip, options, state, _ = wandering
-    star = compared(strip, state, options, (0, 2), 40).star
+    star = compared(strip, state, options, (0, 2), 40, found_cameras(strip, state)).star
     which = np.flatnonzero(star.present[:, 0])
     rows, beside = window_rows(star, strip.grid, 3, state.ground, which, state.slow)
     errors = 0.1 * np.random.default_rng(1).standard_normal(state.slow.count * state.slow.each)
