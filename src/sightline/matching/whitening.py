@@ -24,6 +24,8 @@ TILES = 128
 """Tiles that teach the filters of a pair, where there are many pairs."""
 _HIGHEST = 0.45
 """Cycles per pixel; frequencies that filters let pass."""
+_FADE = 0.08
+"""Cycles per pixel over which filters fade out."""
 _OVER = 12
 """Pixels that the wider tiles of image b may reach beyond it, where it is reflected."""
 
@@ -41,12 +43,16 @@ class Whitening:
         Magnitude-squared coherence the filters were made from, on the grid of `numpy.fft.rfft2`.
     tiles : int
         Number of tiles it was estimated from; 0 when it was given.
+    phase_bias : (float, float)
+        px along lines and columns; what aliasing adds to matches, times the sine of the fraction of a pixel
+        between the images (`sightline.motion.measure.aliasing`).
     """
 
     taps_a: NDArray[np.float32]
     taps_b: NDArray[np.float32]
     coherence: NDArray[np.float64] | None = None
     tiles: int = 0
+    phase_bias: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("taps_a", "taps_b"):
@@ -76,7 +82,12 @@ class Whitening:
 
     def swapped(self) -> Whitening:
         """The filters of the same pair with its images taken in the other order."""
-        return Whitening(self.taps_b, self.taps_a, self.coherence, self.tiles)
+        return Whitening(self.taps_b, self.taps_a, self.coherence, self.tiles, self.phase_bias)
+
+    def below(self, highest: float) -> Whitening:
+        """The same filters for frequencies below `highest` (cycles/px) along each axis alone."""
+        low = _fade(highest - _FADE, highest)
+        return Whitening.from_response(self.response("a") * low, self.response("b") * low)
 
     def response(self, image: str = "a") -> NDArray[np.float64]:
         """Frequency response of the filter as applied.
@@ -152,6 +163,14 @@ def gradient_filter(corner: float = 0.18) -> Whitening:
 def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     fy, fx = np.meshgrid(np.fft.fftfreq(_GRID), np.fft.rfftfreq(_GRID), indexing="ij")
     return fy, fx
+
+
+def _fade(first: float, last: float) -> NDArray[np.float64]:
+    """1 below `first`, 0 from `last` on (cycles/px), along each axis."""
+    return np.prod(
+        [np.cos(0.5 * np.pi * np.clip((np.abs(g) - first) / (last - first), 0, 1)) for g in _frequencies()],
+        axis=0,
+    )
 
 
 def _taps(response: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -419,9 +438,7 @@ def estimate_whitening(
     odds = _smooth_log(coherence / (1 - coherence), fy, fx, use, weight)
     spectrum = _smooth_log(np.sqrt(s_a * s_b), fy, fx, use, weight)
     smooth = odds / (1 + odds)
-    gy, gx = _frequencies()
-    fade = np.prod([np.cos(0.5 * np.pi * np.clip((np.abs(g) - 0.42) / 0.08, 0, 1)) for g in (gy, gx)], axis=0)
-    response = np.sqrt(odds / (np.sqrt(smooth) * spectrum)) * fade
+    response = np.sqrt(odds / (np.sqrt(smooth) * spectrum)) * _fade(0.5 - _FADE, 0.5)
     response[0, 0] = 0.0
     response /= np.sqrt((response**2 * spectrum).mean())
     made = Whitening.from_response(response)

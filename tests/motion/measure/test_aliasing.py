@@ -11,7 +11,8 @@ from sightline.imaging.reduce import averaged
 from sightline.imaging.source import ArrayImage
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
-from sightline.motion.measure.aliasing import folding
+from sightline.matching.whitening import pair_whitening
+from sightline.motion.measure.aliasing import folding, phase_bias, phases, together
 
 RATIO, SHAPE = 4, (120, 240)
 
@@ -115,3 +116,108 @@ def test_too_few_windows_are_left_as_they_are(count):
     shift = np.ones((3, 2))
     folded, unknown = folding(shift, shift, np.arange(3) < count, np.zeros(3))
     assert not folded.any() and not unknown.any()
+
+
+def row_shifted(seed, blur, rows=900, columns=400, over=8):
+    """Two images of ground averaged over pixels, the second `x` px further on in each row; (a, b, x).
+
+    Exact: each row of the ground is moved by its Fourier series. `blur` px is the sigma of what is before the
+    pixel.
+    """
+    rng = np.random.default_rng(seed)
+    fy, fx = np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns * over, 1.0 / over)[None]
+    f = np.hypot(fy, fx)
+    series = np.fft.fft2(rng.standard_normal((rows, columns * over)))[:, : fx.size]
+    series *= np.where(f > 0, np.maximum(f, 1e-3) ** -1.0, 0.0) * np.exp(-2.0 * (np.pi * blur * f) ** 2)
+    along = np.fft.ifft(series * np.sinc(fy), axis=0)  # rows of the ground, averaged over a line
+    x = 0.25 * np.sin(2.0 * np.pi * np.arange(rows) / 170.0) + 0.4
+
+    def seen(shift):
+        moved = along * np.exp(2j * np.pi * fx * shift[:, None]) * np.sinc(fx)
+        image = np.fft.irfft(moved, columns * over, axis=1)[:, ::over]
+        return image / image.std() + 0.05 * rng.standard_normal(image.shape)
+
+    return ArrayImage(seen(0.0 * x)), ArrayImage(seen(x)), x
+
+
+def laid_back(image, x):
+    """The image on the pixels that it was moved from."""
+
+    def mapping(lines, columns):
+        back = np.interp(lines, np.arange(len(x)), x)
+        return np.stack(
+            [np.broadcast_to(lines[:, None], (len(lines), len(columns))), columns - back[:, None]], -1
+        )
+
+    return WarpedImage(image, mapping, image.shape)
+
+
+def test_matches_drawn_towards_whole_pixels_are_told_without_a_finer_image():
+    seen = []
+    for seed in range(3):
+        a, b, x = row_shifted(seed, blur=0.0)
+        laid = laid_back(b, x)
+        points = np.stack(
+            np.meshgrid(np.arange(20.5, 880, 2.0), np.arange(40.5, 360, 50.0), indexing="ij"), -1
+        )
+        points = points.reshape(-1, 2)
+        whitening = pair_whitening(a, laid, points[::9])
+        matched = lambda filters, a=a, laid=laid, points=points: match_images(  # noqa: E731
+            a, laid, points, points, window=(2, 50), whitening=filters
+        )
+        there = points - np.column_stack([0.0 * points[:, 0], np.interp(points[:, 0], np.arange(900), x)])
+        phase = phases(points, there, np.broadcast_to(np.eye(2), (len(points), 2, 2)))
+        sizes, sigmas = phase_bias(matched, whitening, phase)
+        # all that is found where the images are laid exactly is error: its slope is the truth
+        matches = matched(whitening)
+        good, sine = matches.kept, np.sin(2.0 * np.pi * phase[:, 1])
+        slope, offset = np.polyfit(sine[good], (matches.b - points)[good, 1], 1)
+        error = (matches.b - points)[good, 1] - slope * sine[good] - offset
+        seen.append((sizes[1], sigmas[1], slope, error.std() / (np.sqrt(good.sum()) * sine[good].std())))
+        assert sigmas[0] > 1e3  # lines lie alike everywhere: they tell nothing
+    size, sigma, slope, own = np.transpose(seen)
+    # a pixel's own response, .64 at the Nyquist frequency: some hundredths of a pixel
+    assert slope.mean() < -0.01
+    # what is found lacks what the detail kept for comparison is aliased by, an eighth
+    apart = size.mean() - slope.mean()
+    spread = np.sqrt((sigma**2).sum() + (own**2).sum()) / 3
+    assert -3.0 * spread < apart < 3.0 * spread - 0.25 * slope.mean()
+
+
+def test_smooth_images_show_no_bias():
+    a, b, x = row_shifted(0, blur=0.8)
+    laid = laid_back(b, x)
+    points = np.stack(np.meshgrid(np.arange(20.5, 880, 2.0), np.arange(40.5, 360, 50.0), indexing="ij"), -1)
+    points = points.reshape(-1, 2)
+    there = points - np.column_stack([0.0 * points[:, 0], np.interp(points[:, 0], np.arange(900), x)])
+    phase = phases(points, there, np.broadcast_to(np.eye(2), (len(points), 2, 2)))
+    found = phase_bias(
+        lambda filters: match_images(a, laid, points, points, window=(2, 50), whitening=filters),
+        pair_whitening(a, laid, points[::9]),
+        phase,
+    )
+    assert not together(*found).any()
+
+
+def test_the_phase_of_a_mirrored_image_is_that_of_its_pixels_in_the_hub():
+    # pixel n of the partner lies at column 9.3 - n of the hub, and at line n - .2
+    places = np.array([[4.5, 2.5], [7.0, 3.1]])
+    found = np.column_stack([places[:, 0] + 0.2, 9.3 - places[:, 1]])
+    affine = np.broadcast_to(np.diag([1.0, -1.0]), (2, 2, 2))
+    apart = phases(places, found, affine) + np.array([-0.2, 0.3])
+    assert np.allclose(apart, np.rint(apart), atol=1e-12)
+
+
+def test_sizes_of_a_family_are_drawn_together_and_none_stay_none():
+    rng = np.random.default_rng(5)
+    sigmas = rng.uniform(1e-3, 6e-3, (2000, 6))
+    truth = -0.015 + 0.003 * rng.standard_normal((2000, 6))
+    found = truth + sigmas * rng.standard_normal(truth.shape)
+    drawn = np.array([together(*one) for one in zip(found, sigmas, strict=True)])
+    # alone the error is 3.8e-3; a family's best is the posterior of each about its mean, about 2.5e-3
+    best = np.sqrt(np.mean(1.0 / (1.0 / sigmas**2 + 1.0 / 0.003**2)))
+    assert best <= np.sqrt(np.mean((drawn - truth) ** 2)) <= 1.25 * best
+    none = sigmas * rng.standard_normal(sigmas.shape)
+    shown = [together(*one).any() for one in zip(none, sigmas, strict=True)]
+    assert np.mean(shown) < 3e-3  # 3e-5 of a normal mean, 4 sigma below nothing
+    assert not together(np.zeros(2), np.full(2, np.inf)).any()

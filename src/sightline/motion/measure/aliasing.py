@@ -1,4 +1,4 @@
-"""What aliasing makes of matches of coarse pixels, as a finer image of the same ground shows it.
+"""What aliasing makes of matches of coarse pixels, as a finer image of the ground or they themselves show it.
 
 Detail finer than a pixel comes back at other frequencies, and moves there otherwise than the edges do, as
 moire does. What it does to a match depends on where the ground's detail meets the pixels of both images: on
@@ -9,13 +9,14 @@ Not here: how images are laid on one another (``laid_strips.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.robust import robust_sigmas
 from sightline.matching.matches import Matches
+from sightline.matching.whitening import Whitening
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,10 @@ Array = NDArray[np.float64]
 RESPONSE_STEP, RESPONSE_SPREAD = 0.05, 0.5
 #: Sigmas beyond which shifts do not tell how far aliasing explains them.
 FOLD_CLIP = 4.0
+#: Cycles per pixel below which detail is hardly aliased, and windows by which it is compared with all detail.
+HARDLY_ALIASED, PHASE_WINDOWS = 0.29, 3000
+#: Sigmas by which the mean bias of a hub's pairs must be negative to be taken for one.
+PHASE_SHOWN = 4.0
 
 
 def response(matches: Matches, moved: Sequence[Matches]) -> Array:
@@ -92,3 +97,92 @@ def folding(shift: Array, fold: Array, known: NDArray[np.bool_], rows: Array) ->
     folded[known] = share * fold[known]
     unknown[~known] = share**2 * (fold[known].T @ fold[known]) / known.sum()
     return folded, unknown
+
+
+def phases(places: Array, found: Array, affine: Array) -> Array:
+    """(N, 2) px of the hub, modulo 1: by how much the pixels of a partner lie before those of the hub.
+
+    `found` (N, 2) is where `places` (N, 2) lie in the partner, `affine` (N, 2, 2) how that changes.
+    """
+    nearest = np.linalg.solve(affine, (np.rint(found) - found)[:, :, None])[:, :, 0]
+    return np.asarray(-(places + nearest))
+
+
+def phase_bias(
+    matched: Callable[[Whitening], Matches], whitening: Whitening, phase: Array
+) -> tuple[Array, Array]:
+    """Sizes of what aliasing adds to matches of two images alike, along lines and columns, and their sigmas.
+
+    Parameters
+    ----------
+    matched : callable
+        Matches of the same N windows through any filters.
+    whitening : Whitening
+        Filters of the pair.
+    phase : (N, 2)
+        px; as `phases` gives them.
+
+    Returns
+    -------
+    sizes, sigmas : (2,)
+        px; of ``sin(2 pi phase)``. Infinite sigmas where the windows do not tell.
+
+    Notes
+    -----
+    With the power P(f) that a pixel lets through, two images x px apart have the cross-spectrum
+    ``exp(2 pi i f x) (P(f) + P(1 - f) exp(-2 pi i x))``: matches are drawn towards whole pixels by
+    ``sin(2 pi x)``, the more the nearer to the Nyquist frequency, and by nearly nothing at half of it. What
+    all detail finds less what such detail finds is this, and no motion.
+    """
+    whole, low = matched(whitening), matched(whitening.below(HARDLY_ALIASED))
+    good = whole.kept & low.kept & np.isfinite(phase).all(axis=1)
+    slopes = [
+        _slope(
+            (whole.b - low.b)[good, axis],
+            np.sin(2.0 * np.pi * phase[good, axis]),
+            1.0 / low.covariance_px[good, axis, axis],
+        )
+        for axis in range(2)
+    ]
+    sizes, sigmas = np.transpose(slopes)
+    return sizes, sigmas
+
+
+def together(sizes: Array, sigmas: Array) -> Array:
+    """What sizes of one kind with their sigmas (any one shape) most likely are, as a normal family of them.
+
+    0 of all where their mean is not plainly negative: aliasing draws matches towards whole pixels alone.
+    """
+    weight = 1.0 / sigmas**2
+    if not weight.any():
+        return np.zeros(sizes.shape)
+    mean = float((weight * sizes).sum() / weight.sum())
+    if mean > -PHASE_SHOWN / np.sqrt(weight.sum()):
+        return np.zeros(sizes.shape)
+    # spread among them by its moment (DerSimonian and Laird)
+    told = max(int((weight > 0.0).sum()) - 1, 0)
+    excess = float((weight * (sizes - mean) ** 2).sum()) - told
+    between = max(excess / max(weight.sum() - (weight**2).sum() / weight.sum(), np.finfo(float).tiny), 0.0)
+    weight = 1.0 / (sigmas**2 + between)
+    mean = float((weight * sizes).sum() / weight.sum())
+    return np.asarray(np.minimum(mean + between * weight * (sizes - mean), 0.0))
+
+
+def _slope(y: Array, x: Array, weight: Array) -> tuple[float, float]:
+    """Slope of y with x beside a constant, and its sigma; values that lie far off have no part in it."""
+    slope, sigma = 0.0, np.inf
+    usual = np.ones(len(y), dtype=bool)
+    for _ in range(3):
+        w = np.where(usual, weight, 0.0)
+        total = max(float(w.sum()), np.finfo(float).tiny)
+        across = x - (w @ x) / total
+        square = float(w @ across**2)
+        if usual.sum() < 3 or square <= 0.0:
+            return 0.0, np.inf
+        slope = float(w @ (across * y)) / square
+        left = y - (w @ y) / total - slope * across
+        scaled = left * np.sqrt(weight)
+        spread = float(robust_sigmas(scaled[usual, None], 0)[0])
+        sigma = spread / np.sqrt(square)
+        usual = np.abs(scaled) <= FOLD_CLIP * spread
+    return (slope, sigma) if sigma > 0.0 else (0.0, np.inf)

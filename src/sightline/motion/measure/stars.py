@@ -26,7 +26,15 @@ from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSID
 from sightline.matching.on_geometry import within
 from sightline.matching.select import chosen_windows
 from sightline.matching.whitening import TILES, Whitening, gradient_filter, pair_whitening
-from sightline.motion.measure.aliasing import RESPONSE_STEP, folding, response
+from sightline.motion.measure.aliasing import (
+    PHASE_WINDOWS,
+    RESPONSE_STEP,
+    folding,
+    phase_bias,
+    phases,
+    response,
+    together,
+)
 from sightline.motion.measure.laid_strips import (
     UNLIKE,
     exposed,
@@ -344,6 +352,8 @@ def _prepared(
         return moved
 
     whitenings = in_threads(whitening, range(len(partners)))
+    new = [j for j in range(len(partners)) if known.get((hub, partners[j])) is None]
+    _learn_phase_bias(strips, whitenings, new, partners, predicted, [seen[j] & ~wrong[:, j] for j in new])
     if filters is not None and not grid.narrow(strips.images[hub].shape[1]):
         filters.update(_both_ways(cameras, hub, partners, whitenings))
     moved = in_threads(sensitivity, range(len(partners)))
@@ -367,6 +377,44 @@ def _whitening(strips: _Strips, laid: ImageSource, points: Array) -> Whitening |
         points = plan.grid(image.shape).centres
         points = points[np.linspace(0, len(points) - 1, min(ENOUGH, len(points))).astype(int)]
     return pair_whitening(image, laid, points, most_tiles=TILES)
+
+
+def _learn_phase_bias(
+    strips: _Strips,
+    whitenings: list[Whitening | None],
+    new: Sequence[int],
+    partners: Sequence[int],
+    predicted: Sequence[Predictions],
+    usable: Sequence[Flags],
+) -> None:
+    """Give filters that are `new` what aliasing adds to matches of like images through them."""
+    hub, grid, image = strips.hub, strips.grid, strips.images[strips.hub]
+    plain = strips.searched or strips.plan.similarity != "whitened" or strips.finest is not None
+    if plain or grid.narrow(image.shape[1]):
+        return
+
+    def measured(which: tuple[int, Flags]) -> tuple[Array, Array]:
+        j, good = which
+        some, filters = np.flatnonzero(good), whitenings[j]
+        if filters is None or not len(some) or not _alike(strips.cameras, hub, partners[j]):
+            return np.zeros(2), np.full(2, np.inf)
+        some = some[np.unique(np.linspace(0, len(some) - 1, min(len(some), PHASE_WINDOWS)).astype(int))]
+        points, laid = grid.centres[some], strips.laid(partners[j])
+
+        def matched(through: Whitening) -> Matches:
+            return match_images(image, laid, points, points, window=grid.window, whitening=through)
+
+        phase = phases(points, predicted[j].b[some], predicted[j].affine[some])
+        return phase_bias(matched, filters, phase)
+
+    found = [measured(which) for which in zip(new, usable, strict=True)]
+    if not found:
+        return
+    sizes = together(*(np.array(part) for part in zip(*found, strict=True)))
+    for j, size in zip(new, sizes, strict=True):
+        one = whitenings[j]
+        if one is not None:
+            whitenings[j] = replace(one, phase_bias=(float(size[0]), float(size[1])))
 
 
 def _measured(
@@ -413,6 +461,9 @@ def _measured(
             fold = matched(laid, own=own)
             folded, unknown = folding(shift, fold.b[good] - fold.a[good], fold.kept[good], centres[good, 0])
             shift, uncertain = shift - folded, uncertain + unknown
+        if partner.whitening is not None and any(partner.whitening.phase_bias) and not unlike:
+            phase = phases(centres[good], b[good], affine[good])
+            shift = shift - np.array(partner.whitening.phase_bias) * np.sin(2.0 * np.pi * phase)
         blurred, changes = np.zeros(shift.shape), None
         if not strips.searched:
             blurred, changes = displacement(
@@ -453,9 +504,14 @@ def _both_ways(
     out: Filters = {}
     for partner, one in zip(partners, found, strict=True):
         out[hub, partner] = one
-        if {parts_of_pixel(cameras, *pair) for pair in ((hub, partner), (partner, hub))} == {(1, 1)}:
+        if _alike(cameras, hub, partner):
             out[partner, hub] = None if one is None else one.swapped()
     return out
+
+
+def _alike(cameras: Sequence[MovingCamera], one: int, other: int) -> bool:
+    """Whether the pixels of two images are as large as each other."""
+    return {parts_of_pixel(cameras, *pair) for pair in ((one, other), (other, one))} == {(1, 1)}
 
 
 def _relative(plan: MatchingPlan, pair: tuple[int, int], columns: Array) -> Array:
