@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 from scipy.ndimage import convolve1d
 from scipy.optimize import minimize
-from scipy.signal import savgol_coeffs
 from scipy.special import ndtr
 
 from sightline.errors import EstimationError, InputError
@@ -548,6 +547,8 @@ def pattern_of_means(means: Array, *, smooth: int = SMOOTH, edges: tuple[int, in
 
     Other parameters are those of `column_pattern`.
     """
+    from scipy.signal import savgol_coeffs  # a quarter of a second, which every command would wait for
+
     parts, columns = means.shape
     inner = slice(edges[0], columns - edges[1])
     means = means[:, inner]
