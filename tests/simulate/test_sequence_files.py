@@ -129,6 +129,12 @@ def test_png_holds_the_same_numbers(tmp_path):
     assert content["surface"]["height_sigma"] == pytest.approx(heights.std(), abs=1e-3)
 
 
+def test_flat_ground_is_said_to_be_known():
+    content = tomllib.loads(sequence_toml(sequence_case("small", 0, frames=2, spectra="law", relief=0.0)))
+    # 0 is read as a height that is not known
+    assert 0.0 < content["surface"]["height_sigma"] < 1.0
+
+
 @pytest.mark.parametrize(("kind", "key"), [("mosaic", "mosaic_nm"), ("pan", None), ("lvf", "wavelength_nm")])
 def test_the_kind_of_filter_is_given_by_one_key(kind, key):
     content = tomllib.loads(sequence_toml(sequence_case("small", 0, frames=2, filter=kind, spectra="law")))

@@ -40,6 +40,8 @@ from sightline.writing import whole_raster
 FORMATS = ("tif", "png")
 _SUBSET_OVERLAP = 0.8
 _BLOCK_ROWS = 256
+#: m; how well ground without relief is said to be known: 0 would say that its height is not.
+_FLAT_SIGMA = 0.1
 _POSE = "x,y,z,qx,qy,qz,qw"
 
 
@@ -123,7 +125,8 @@ def sequence_toml(scenario: SequenceScenario, *, dem: bool = False) -> str:
     if dem:
         lines += ['dem = "dem.tif"', "height_sigma = 0.0"]
     else:
-        lines += [f"height = {float(heights.mean()):.3f}", f"height_sigma = {float(heights.std()):.3f}"]
+        sigma = max(float(heights.std()), _FLAT_SIGMA)
+        lines += [f"height = {float(heights.mean()):.3f}", f"height_sigma = {sigma:.3f}"]
     return "\n".join(lines) + "\n"
 
 
