@@ -43,16 +43,16 @@ class Whitening:
         Magnitude-squared coherence the filters were made from, on the grid of `numpy.fft.rfft2`.
     tiles : int
         Number of tiles it was estimated from; 0 when it was given.
-    phase_bias : (float, float)
+    phase_bias : (float, float), optional
         px along lines and columns; what aliasing adds to matches, times the sine of the fraction of a pixel
-        between the images (`sightline.motion.measure.aliasing`).
+        between the images (`sightline.motion.measure.aliasing`); None where it is not known.
     """
 
     taps_a: NDArray[np.float32]
     taps_b: NDArray[np.float32]
     coherence: NDArray[np.float64] | None = None
     tiles: int = 0
-    phase_bias: tuple[float, float] = (0.0, 0.0)
+    phase_bias: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("taps_a", "taps_b"):

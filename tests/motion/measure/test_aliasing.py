@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from sightline.imaging.reduce import averaged
 from sightline.imaging.source import ArrayImage
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
-from sightline.matching.whitening import pair_whitening
+from sightline.matching.whitening import gradient_filter, pair_whitening
 from sightline.motion.measure.aliasing import folding, phase_bias, phases, together
 
 RATIO, SHAPE = 4, (120, 240)
@@ -178,10 +179,10 @@ def test_matches_drawn_towards_whole_pixels_are_told_without_a_finer_image():
     size, sigma, slope, own = np.transpose(seen)
     # a pixel's own response, .64 at the Nyquist frequency: some hundredths of a pixel
     assert slope.mean() < -0.01
-    # what is found lacks what the detail kept for comparison is aliased by, an eighth
+    # what is found lacks what the detail kept for comparison is aliased by, up to a third
     apart = size.mean() - slope.mean()
     spread = np.sqrt((sigma**2).sum() + (own**2).sum()) / 3
-    assert -3.0 * spread < apart < 3.0 * spread - 0.25 * slope.mean()
+    assert -3.0 * spread < apart < 3.0 * spread - 0.33 * slope.mean()
 
 
 def test_smooth_images_show_no_bias():
@@ -196,7 +197,7 @@ def test_smooth_images_show_no_bias():
         pair_whitening(a, laid, points[::9]),
         phase,
     )
-    assert not together(*found).any()
+    assert not together(found[0][1:], found[1][1:]).any()
 
 
 def test_the_phase_of_a_mirrored_image_is_that_of_its_pixels_in_the_hub():
@@ -221,3 +222,31 @@ def test_sizes_of_a_family_are_drawn_together_and_none_stay_none():
     shown = [together(*one).any() for one in zip(none, sigmas, strict=True)]
     assert np.mean(shown) < 3e-3  # 3e-5 of a normal mean, 4 sigma below nothing
     assert not together(np.zeros(2), np.full(2, np.inf)).any()
+
+
+@pytest.mark.parametrize("vague", [0.018, 0.03, 1.0, 1e6])
+def test_what_one_pair_hardly_tells_is_not_believed(vague):
+    rng = np.random.default_rng(6)
+    sigmas = np.array([7e-4, vague])
+    drawn = np.array([together(-0.02 + sigmas * rng.standard_normal(2), sigmas) for _ in range(500)])
+    assert (np.abs(drawn[:, 0] + 0.02) < 5.0 * 7e-4).all()
+    # next to the other, or nothing: where a phase does not vary, its bias is an offset
+    assert (drawn[:, 1] <= 0.0).all() and (drawn[:, 1] > -0.05).all()
+    assert (drawn[:, 1] == 0.0).all() == (vague > 0.02)
+
+
+def test_few_windows_tell_nothing():
+    rng = np.random.default_rng(7)
+
+    def matched(count):
+        a = np.column_stack([np.arange(count), np.arange(count)]).astype(float)
+        covariance = np.broadcast_to(1e-4 * np.eye(2), (count, 2, 2))
+        return lambda _: SimpleNamespace(
+            b=a + 0.01 * rng.standard_normal((count, 2)),
+            kept=np.ones(count, dtype=bool),
+            covariance_px=covariance,
+        )
+
+    through = gradient_filter()
+    assert (phase_bias(matched(49), through, rng.uniform(0.0, 1.0, (49, 2)))[1] == np.inf).all()
+    assert (phase_bias(matched(60), through, rng.uniform(0.0, 1.0, (60, 2)))[1] < 0.02).all()

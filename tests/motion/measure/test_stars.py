@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from matching.fourier_textures import shifted_pair
-from motion.strips import IFOV, PERIOD, given_bands, plain_star, strip_cameras
+from motion.strips import IFOV, PERIOD, given_bands, plain_star, sampled_motion, strip_cameras
 from sightline.geometry.conjugate import predict_match
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
@@ -19,6 +19,8 @@ from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
 from sightline.matching.whitening import pair_whitening
 from sightline.motion.band import Band
+from sightline.motion.measure import stars
+from sightline.motion.measure.aliasing import phases
 from sightline.motion.measure.common_view import partners_of
 from sightline.motion.measure.laid_strips import (
     _rough_columns,
@@ -29,7 +31,7 @@ from sightline.motion.measure.laid_strips import (
 from sightline.motion.measure.plan import END, MatchingPlan, hub_windows
 from sightline.motion.measure.predict import turned
 from sightline.motion.measure.stars import StarRecord, _brightness_elsewhere, found_wrong, match_star
-from sightline.motion.measure.windows import brightest_parts, window_grid
+from sightline.motion.measure.windows import brightest_parts, predict_windows, window_grid
 from sightline.motion.statics import band_statics
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -416,3 +418,61 @@ class TestUnlikePixels:
         # without the response 0.8 to 0.85 of it; its own step (0.05 px) and that of this test differ
         share = -moved[kept] / (star.by_partner[kept, 0, component, axis] * turn[axis])
         assert np.median(share) == pytest.approx(1.0, abs=0.07)
+
+
+class TestPhaseBias:
+    """Undersampled columns, of which roll moves the fraction of a pixel between the images."""
+
+    SHAPE, AHEAD, PLAN = (600, 320), (40.25, 0.0), MatchingPlan((4, 60), 4)
+
+    @pytest.fixture
+    def strip(self):
+        """Cameras that know the motion, and images of ground whose rows they moved; lines hold no alias."""
+        (rows, columns), over = self.SHAPE, 6
+        rolled = 0.35 * np.sin(2.0 * np.pi * np.arange(rows) * PERIOD / 0.08)  # px
+        cameras = strip_cameras(
+            self.AHEAD,
+            *self.SHAPE,
+            sampled_motion(roll=lambda t: IFOV * 0.35 * np.sin(2.0 * np.pi * t / 0.08)),
+        )
+        rng = np.random.default_rng(0)
+        fy, fx = np.fft.fftfreq(rows + 160)[:, None], np.fft.rfftfreq(columns * over, 1.0 / over)[None]
+        f = np.hypot(fy, fx)
+        ground = np.fft.fft2(rng.standard_normal((rows + 160, columns * over)))[:, : fx.size]
+        ground *= np.where(f > 0, np.maximum(f, 1e-3) ** -1.0, 0.0) * (np.abs(fy) <= 0.42)
+        images = []
+        for ahead in self.AHEAD:
+            along = np.fft.ifft(ground * np.exp(2j * np.pi * fy * ahead), axis=0)[40 : 40 + rows]
+            seen = along * np.exp(2j * np.pi * fx * rolled[:, None]) * np.sinc(fx)
+            image = np.fft.irfft(seen, columns * over, axis=1)[:, ::over]
+            images.append(ArrayImage(image / image.std() + 0.05 * rng.standard_normal(image.shape)))
+        return cameras, images
+
+    def slope(self, strip, hub, filters):
+        """Of residuals across with the sine of the phase, its sigma, and mean residual along; the star."""
+        cameras, images = strip
+        grid = window_grid(self.SHAPE, self.PLAN.window, self.PLAN.step)
+        record = match_star(images, cameras, Plane(), hub, (1 - hub,), grid, (), self.PLAN, filters=filters)
+        star = record.star
+        (predicted,) = predict_windows(cameras, hub, star.images, Plane(), grid)
+        good = star.present[:, 0]
+        sine = np.sin(2.0 * np.pi * phases(star.pixels, predicted.b, predicted.affine)[good, 1])
+        along, across = star.residual_px[good, 0].T
+        slope = np.polyfit(sine, across, 1)[0]
+        return slope, across.std() / sine.std() / np.sqrt(good.sum()), along.mean(), record
+
+    def test_it_is_learned_taken_off_and_shared_both_ways(self, strip, monkeypatch):
+        filters = {}
+        after, sigma, along, record = self.slope(strip, 0, filters)
+        back = self.slope(strip, 1, dict(filters))
+        assert back[3].filters[0].phase_bias == record.filters[0].phase_bias
+        monkeypatch.setattr(stars, "_with_phase_bias", lambda strips, whitenings, *_: whitenings)
+        before, _, plain_along, _ = self.slope(strip, 0, {})
+        plain_back = self.slope(strip, 1, {})
+        # .008 px and more, towards whole pixels; two thirds of it and more go
+        assert before < -0.006 and plain_back[0] < -0.006
+        for left, whole in ((after, before), (back[0], plain_back[0])):
+            assert 0.34 * whole - 3.0 * sigma < left < 3.0 * sigma
+        # lines lie a quarter of a pixel apart all over: nothing tells their bias, and nothing is put there
+        assert record.filters[0].phase_bias[0] == 0.0
+        assert along == pytest.approx(plain_along, abs=1e-9)

@@ -27,6 +27,7 @@ from sightline.matching.on_geometry import within
 from sightline.matching.select import chosen_windows
 from sightline.matching.whitening import TILES, Whitening, gradient_filter, pair_whitening
 from sightline.motion.measure.aliasing import (
+    PHASE_SIGMA,
     PHASE_WINDOWS,
     RESPONSE_STEP,
     folding,
@@ -352,8 +353,8 @@ def _prepared(
         return moved
 
     whitenings = in_threads(whitening, range(len(partners)))
-    new = [j for j in range(len(partners)) if known.get((hub, partners[j])) is None]
-    _learn_phase_bias(strips, whitenings, new, partners, predicted, [seen[j] & ~wrong[:, j] for j in new])
+    usable = [good & ~wrong[:, j] for j, good in enumerate(seen)]
+    whitenings = _with_phase_bias(strips, whitenings, partners, laid, predicted, usable)
     if filters is not None and not grid.narrow(strips.images[hub].shape[1]):
         filters.update(_both_ways(cameras, hub, partners, whitenings))
     moved = in_threads(sensitivity, range(len(partners)))
@@ -379,42 +380,41 @@ def _whitening(strips: _Strips, laid: ImageSource, points: Array) -> Whitening |
     return pair_whitening(image, laid, points, most_tiles=TILES)
 
 
-def _learn_phase_bias(
+def _with_phase_bias(
     strips: _Strips,
     whitenings: list[Whitening | None],
-    new: Sequence[int],
     partners: Sequence[int],
+    laid: Sequence[ImageSource],
     predicted: Sequence[Predictions],
     usable: Sequence[Flags],
-) -> None:
-    """Give filters that are `new` what aliasing adds to matches of like images through them."""
+) -> list[Whitening | None]:
+    """Filters with what aliasing adds to matches of like images through them, as far as these tell it."""
     hub, grid, image = strips.hub, strips.grid, strips.images[strips.hub]
-    plain = strips.searched or strips.plan.similarity != "whitened" or strips.finest is not None
-    if plain or grid.narrow(image.shape[1]):
-        return
-
-    def measured(which: tuple[int, Flags]) -> tuple[Array, Array]:
-        j, good = which
-        some, filters = np.flatnonzero(good), whitenings[j]
-        if filters is None or not len(some) or not _alike(strips.cameras, hub, partners[j]):
-            return np.zeros(2), np.full(2, np.inf)
+    if strips.searched or strips.rough or strips.finest is not None or grid.narrow(image.shape[1]):
+        return whitenings
+    # rows that share no pixel
+    apart = math.ceil(grid.window[0] / max(float(np.diff(grid.lines[:2]).sum()), 1.0))
+    rows = np.repeat(np.arange(len(grid.lines)) % apart == 0, len(grid.columns))
+    sizes, sigmas = np.zeros((len(partners), 2)), np.full((len(partners), 2), np.inf)
+    for j, filters in enumerate(whitenings):
+        some = np.flatnonzero(usable[j] & rows)
+        unknown = filters is not None and filters is not GRADIENT and filters.phase_bias is None
+        if filters is None or not unknown or not len(some) or not _alike(strips.cameras, hub, partners[j]):
+            continue
         some = some[np.unique(np.linspace(0, len(some) - 1, min(len(some), PHASE_WINDOWS)).astype(int))]
-        points, laid = grid.centres[some], strips.laid(partners[j])
+        points, other = grid.centres[some], laid[j]
 
-        def matched(through: Whitening) -> Matches:
-            return match_images(image, laid, points, points, window=grid.window, whitening=through)
+        def matched(through: Whitening, points: Array = points, other: ImageSource = other) -> Matches:
+            return match_images(image, other, points, points, window=grid.window, whitening=through)
 
         phase = phases(points, predicted[j].b[some], predicted[j].affine[some])
-        return phase_bias(matched, filters, phase)
-
-    found = [measured(which) for which in zip(new, usable, strict=True)]
-    if not found:
-        return
-    sizes = together(*(np.array(part) for part in zip(*found, strict=True)))
-    for j, size in zip(new, sizes, strict=True):
-        one = whitenings[j]
-        if one is not None:
-            whitenings[j] = replace(one, phase_bias=(float(size[0]), float(size[1])))
+        sizes[j], sigmas[j] = phase_bias(matched, filters, phase)
+    found = np.stack([together(*one) for one in zip(sizes.T, sigmas.T, strict=True)], axis=1)
+    told = np.asarray((sigmas <= PHASE_SIGMA).any(axis=1))
+    return [
+        replace(one, phase_bias=(float(along), float(across))) if one is not None and known else one
+        for one, (along, across), known in zip(whitenings, found, told, strict=True)
+    ]
 
 
 def _measured(
@@ -461,9 +461,10 @@ def _measured(
             fold = matched(laid, own=own)
             folded, unknown = folding(shift, fold.b[good] - fold.a[good], fold.kept[good], centres[good, 0])
             shift, uncertain = shift - folded, uncertain + unknown
-        if partner.whitening is not None and any(partner.whitening.phase_bias) and not unlike:
+        bias = None if unlike or partner.whitening is None else partner.whitening.phase_bias
+        if bias is not None and any(bias):
             phase = phases(centres[good], b[good], affine[good])
-            shift = shift - np.array(partner.whitening.phase_bias) * np.sin(2.0 * np.pi * phase)
+            shift = shift - np.array(bias) * np.sin(2.0 * np.pi * phase)
         blurred, changes = np.zeros(shift.shape), None
         if not strips.searched:
             blurred, changes = displacement(
