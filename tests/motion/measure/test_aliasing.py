@@ -13,7 +13,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
 from sightline.matching.whitening import gradient_filter, pair_whitening
-from sightline.motion.measure.aliasing import folding, phase_bias, phases, together
+from sightline.motion.measure.aliasing import folding, phase_between, phase_bias, pooled_bias
 
 RATIO, SHAPE = 4, (120, 240)
 
@@ -167,7 +167,7 @@ def test_matches_drawn_towards_whole_pixels_are_told_without_a_finer_image():
             a, laid, points, points, window=(2, 50), whitening=filters
         )
         there = points - np.column_stack([0.0 * points[:, 0], np.interp(points[:, 0], np.arange(900), x)])
-        phase = phases(points, there, np.broadcast_to(np.eye(2), (len(points), 2, 2)))
+        phase = phase_between(points, there, np.broadcast_to(np.eye(2), (len(points), 2, 2)))
         sizes, sigmas = phase_bias(matched, whitening, phase)
         # all that is found where the images are laid exactly is error: its slope is the truth
         matches = matched(whitening)
@@ -191,13 +191,13 @@ def test_smooth_images_show_no_bias():
     points = np.stack(np.meshgrid(np.arange(20.5, 880, 2.0), np.arange(40.5, 360, 50.0), indexing="ij"), -1)
     points = points.reshape(-1, 2)
     there = points - np.column_stack([0.0 * points[:, 0], np.interp(points[:, 0], np.arange(900), x)])
-    phase = phases(points, there, np.broadcast_to(np.eye(2), (len(points), 2, 2)))
+    phase = phase_between(points, there, np.broadcast_to(np.eye(2), (len(points), 2, 2)))
     found = phase_bias(
         lambda filters: match_images(a, laid, points, points, window=(2, 50), whitening=filters),
         pair_whitening(a, laid, points[::9]),
         phase,
     )
-    assert not together(found[0][1:], found[1][1:]).any()
+    assert not pooled_bias(found[0][1:], found[1][1:]).any()
 
 
 def test_the_phase_of_a_mirrored_image_is_that_of_its_pixels_in_the_hub():
@@ -205,7 +205,7 @@ def test_the_phase_of_a_mirrored_image_is_that_of_its_pixels_in_the_hub():
     places = np.array([[4.5, 2.5], [7.0, 3.1]])
     found = np.column_stack([places[:, 0] + 0.2, 9.3 - places[:, 1]])
     affine = np.broadcast_to(np.diag([1.0, -1.0]), (2, 2, 2))
-    apart = phases(places, found, affine) + np.array([-0.2, 0.3])
+    apart = phase_between(places, found, affine) + np.array([-0.2, 0.3])
     assert np.allclose(apart, np.rint(apart), atol=1e-12)
 
 
@@ -214,21 +214,21 @@ def test_sizes_of_a_family_are_drawn_together_and_none_stay_none():
     sigmas = rng.uniform(1e-3, 6e-3, (2000, 6))
     truth = -0.015 + 0.003 * rng.standard_normal((2000, 6))
     found = truth + sigmas * rng.standard_normal(truth.shape)
-    drawn = np.array([together(*one) for one in zip(found, sigmas, strict=True)])
+    drawn = np.array([pooled_bias(*one) for one in zip(found, sigmas, strict=True)])
     # alone the error is 3.8e-3; a family's best is the posterior of each about its mean, about 2.5e-3
     best = np.sqrt(np.mean(1.0 / (1.0 / sigmas**2 + 1.0 / 0.003**2)))
     assert best <= np.sqrt(np.mean((drawn - truth) ** 2)) <= 1.25 * best
     none = sigmas * rng.standard_normal(sigmas.shape)
-    shown = [together(*one).any() for one in zip(none, sigmas, strict=True)]
+    shown = [pooled_bias(*one).any() for one in zip(none, sigmas, strict=True)]
     assert np.mean(shown) < 3e-3  # 3e-5 of a normal mean, 4 sigma below nothing
-    assert not together(np.zeros(2), np.full(2, np.inf)).any()
+    assert not pooled_bias(np.zeros(2), np.full(2, np.inf)).any()
 
 
 @pytest.mark.parametrize("vague", [0.018, 0.03, 1.0, 1e6])
 def test_what_one_pair_hardly_tells_is_not_believed(vague):
     rng = np.random.default_rng(6)
     sigmas = np.array([7e-4, vague])
-    drawn = np.array([together(-0.02 + sigmas * rng.standard_normal(2), sigmas) for _ in range(500)])
+    drawn = np.array([pooled_bias(-0.02 + sigmas * rng.standard_normal(2), sigmas) for _ in range(500)])
     assert (np.abs(drawn[:, 0] + 0.02) < 5.0 * 7e-4).all()
     # next to the other, or nothing: where a phase does not vary, its bias is an offset
     assert (drawn[:, 1] <= 0.0).all() and (drawn[:, 1] > -0.05).all()

@@ -20,7 +20,7 @@ from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
 from sightline.matching.whitening import pair_whitening
 from sightline.motion.band import Band
 from sightline.motion.measure import stars
-from sightline.motion.measure.aliasing import phases
+from sightline.motion.measure.aliasing import phase_between
 from sightline.motion.measure.common_view import partners_of
 from sightline.motion.measure.laid_strips import (
     _rough_columns,
@@ -456,7 +456,7 @@ class TestPhaseBias:
         star = record.star
         (predicted,) = predict_windows(cameras, hub, star.images, Plane(), grid)
         good = star.present[:, 0]
-        sine = np.sin(2.0 * np.pi * phases(star.pixels, predicted.b, predicted.affine)[good, 1])
+        sine = np.sin(2.0 * np.pi * phase_between(star.pixels, predicted.b, predicted.affine)[good, 1])
         along, across = star.residual_px[good, 0].T
         slope = np.polyfit(sine, across, 1)[0]
         return slope, across.std() / sine.std() / np.sqrt(good.sum()), along.mean(), record

@@ -101,7 +101,7 @@ def folding(shift: Array, fold: Array, known: NDArray[np.bool_], rows: Array) ->
     return folded, unknown
 
 
-def phases(places: Array, found: Array, affine: Array) -> Array:
+def phase_between(places: Array, found: Array, affine: Array) -> Array:
     """(N, 2) px of the hub, modulo 1: by how much the pixels of a partner lie before those of the hub.
 
     `found` (N, 2) is where `places` (N, 2) lie in the partner, `affine` (N, 2, 2) how that changes.
@@ -125,7 +125,7 @@ def phase_bias(
     whitening : Whitening
         Filters of the pair.
     phase : (N, 2)
-        px; as `phases` gives them.
+        px; as `phase_between` gives them.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def phase_bias(
     return sizes, sigmas
 
 
-def together(sizes: Array, sigmas: Array) -> Array:
+def pooled_bias(sizes: Array, sigmas: Array) -> Array:
     """What sizes of one axis (K,) px with their sigmas most likely are, as a normal family of them.
 
     0 of all where their mean is not plainly negative: aliasing draws matches towards whole pixels alone. 0 of

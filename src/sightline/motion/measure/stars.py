@@ -31,10 +31,10 @@ from sightline.motion.measure.aliasing import (
     PHASE_WINDOWS,
     RESPONSE_STEP,
     folding,
+    phase_between,
     phase_bias,
-    phases,
+    pooled_bias,
     response,
-    together,
 )
 from sightline.motion.measure.laid_strips import (
     UNLIKE,
@@ -407,9 +407,9 @@ def _with_phase_bias(
         def matched(through: Whitening, points: Array = points, other: ImageSource = other) -> Matches:
             return match_images(image, other, points, points, window=grid.window, whitening=through)
 
-        phase = phases(points, predicted[j].b[some], predicted[j].affine[some])
+        phase = phase_between(points, predicted[j].b[some], predicted[j].affine[some])
         sizes[j], sigmas[j] = phase_bias(matched, filters, phase)
-    found = np.stack([together(*one) for one in zip(sizes.T, sigmas.T, strict=True)], axis=1)
+    found = np.stack([pooled_bias(*one) for one in zip(sizes.T, sigmas.T, strict=True)], axis=1)
     told = np.asarray((sigmas <= PHASE_SIGMA).any(axis=1))
     return [
         replace(one, phase_bias=(float(along), float(across))) if one is not None and known else one
@@ -463,7 +463,7 @@ def _measured(
             shift, uncertain = shift - folded, uncertain + unknown
         bias = None if unlike or partner.whitening is None else partner.whitening.phase_bias
         if bias is not None and any(bias):
-            phase = phases(centres[good], b[good], affine[good])
+            phase = phase_between(centres[good], b[good], affine[good])
             shift = shift - np.array(bias) * np.sin(2.0 * np.pi * phase)
         blurred, changes = np.zeros(shift.shape), None
         if not strips.searched:
