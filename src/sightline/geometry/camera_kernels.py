@@ -202,6 +202,19 @@ def _miss(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _plane(planes: Array, x: float) -> tuple[float, float, float, float]:
+    """The plane of the detector line at place `x`."""
+    i, w0, w1, w2, w3 = _stencil(x, len(planes))
+    a, b, c, d = planes[i], planes[i + 1], planes[i + 2], planes[i + 3]
+    return (
+        w0 * a[0] + w1 * b[0] + w2 * c[0] + w3 * d[0],
+        w0 * a[1] + w1 * b[1] + w2 * c[1] + w3 * d[1],
+        w0 * a[2] + w1 * b[2] + w2 * c[2] + w3 * d[2],
+        w0 * a[3] + w1 * b[3] + w2 * c[3] + w3 * d[3],
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _beside(planes: Array, x: float, p: tuple[float, float, float]) -> tuple[float, float]:
     """How far the point lies beside the plane of the detector line at place `x`, and how that changes."""
     i, w0, w1, w2, w3 = _stencil(x, len(planes))
@@ -347,22 +360,17 @@ def find_lines(
     low, high = lines[0] - first, lines[1] - first
     at_low, at_high = _into_camera(table, low), _into_camera(table, high)
     by_plane = len(planes) > 0
-    beside_low, beside_high = np.zeros(4), np.zeros(4)
+    plane_low = plane_high = (0.0, 0.0, 0.0, 0.0)
     if by_plane:
-        for x, beside in ((low, beside_low), (high, beside_high)):
-            i, w0, w1, w2, w3 = _stencil(x, len(planes))
-            for k in range(4):
-                beside[k] = (
-                    w0 * planes[i, k] + w1 * planes[i + 1, k] + w2 * planes[i + 2, k] + w3 * planes[i + 3, k]
-                )
+        plane_low, plane_high = _plane(planes, low), _plane(planes, high)
     for n in range(len(points)):
         pixels[n] = np.nan
         if not np.isfinite(points[n, 0] + points[n, 1] + points[n, 2]):
             continue
         p = (points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2])
         if by_plane:
-            g_low = p[0] * beside_low[0] + p[1] * beside_low[1] + p[2] * beside_low[2] - beside_low[3]
-            g_high = p[0] * beside_high[0] + p[1] * beside_high[1] + p[2] * beside_high[2] - beside_high[3]
+            g_low = p[0] * plane_low[0] + p[1] * plane_low[1] + p[2] * plane_low[2] - plane_low[3]
+            g_high = p[0] * plane_high[0] + p[1] * plane_high[1] + p[2] * plane_high[2] - plane_high[3]
             if g_low * g_high < 0.0:
                 x, column = _met_by_plane(table, planes, low, high, g_low, g_high, p, axis, curve)
                 if columns[0] <= column <= columns[1]:

@@ -86,7 +86,7 @@ class Whitening:
 
     def below(self, highest: float) -> Whitening:
         """The same filters for frequencies below `highest` (cycles/px) along each axis alone."""
-        low = _fade(highest - _FADE, highest)
+        low = _fade(highest)
         return Whitening.from_response(self.response("a") * low, self.response("b") * low)
 
     def response(self, image: str = "a") -> NDArray[np.float64]:
@@ -165,12 +165,10 @@ def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return fy, fx
 
 
-def _fade(first: float, last: float) -> NDArray[np.float64]:
-    """1 below `first`, 0 from `last` on (cycles/px), along each axis."""
-    return np.prod(
-        [np.cos(0.5 * np.pi * np.clip((np.abs(g) - first) / (last - first), 0, 1)) for g in _frequencies()],
-        axis=0,
-    )
+def _fade(highest: float) -> NDArray[np.float64]:
+    """1 for frequencies well below `highest`, 0 from it on (cycles/px), along each axis."""
+    beyond = [np.clip((np.abs(g) - (highest - _FADE)) / _FADE, 0, 1) for g in _frequencies()]
+    return np.prod([np.cos(0.5 * np.pi * each) for each in beyond], axis=0)
 
 
 def _taps(response: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -438,7 +436,7 @@ def estimate_whitening(
     odds = _smooth_log(coherence / (1 - coherence), fy, fx, use, weight)
     spectrum = _smooth_log(np.sqrt(s_a * s_b), fy, fx, use, weight)
     smooth = odds / (1 + odds)
-    response = np.sqrt(odds / (np.sqrt(smooth) * spectrum)) * _fade(0.5 - _FADE, 0.5)
+    response = np.sqrt(odds / (np.sqrt(smooth) * spectrum)) * _fade(0.5)
     response[0, 0] = 0.0
     response /= np.sqrt((response**2 * spectrum).mean())
     made = Whitening.from_response(response)

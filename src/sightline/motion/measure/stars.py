@@ -142,6 +142,11 @@ class _Strips:
         """Cameras with which images of pixels like the hub's are laid on it."""
         return [exposed(camera) for camera in self.cameras] if self.coarse else self.cameras
 
+    @property
+    def narrow(self) -> bool:
+        """Whether the windows leave a good part of the hub's lines out."""
+        return self.grid.narrow(self.images[self.hub].shape[1])
+
     @cached_property
     def rough(self) -> bool:
         """Whether the hub's lines are so uneven that matches must be asked how they answer."""
@@ -336,12 +341,13 @@ def _prepared(
         for one, partner, size in zip(predicted, partners, sizes, strict=True)
     ]
     laid = [strips.laid(partner) for partner in partners]
+    usable = [good & ~wrong[:, j] for j, good in enumerate(seen)]
     known = {} if filters is None else filters
 
     def whitening(j: int) -> Whitening | None:
-        if (hub, partners[j]) in known and not grid.narrow(strips.images[hub].shape[1]):
+        if (hub, partners[j]) in known and not strips.narrow:
             return known[hub, partners[j]]
-        return _whitening(strips, laid[j], grid.centres[seen[j] & ~wrong[:, j]])
+        return _whitening(strips, laid[j], grid.centres[usable[j]])
 
     def sensitivity(j: int) -> Flags:
         moved = np.ones(grid.count, dtype=bool)
@@ -353,9 +359,8 @@ def _prepared(
         return moved
 
     whitenings = in_threads(whitening, range(len(partners)))
-    usable = [good & ~wrong[:, j] for j, good in enumerate(seen)]
     whitenings = _with_phase_bias(strips, whitenings, partners, laid, predicted, usable)
-    if filters is not None and not grid.narrow(strips.images[hub].shape[1]):
+    if filters is not None and not strips.narrow:
         filters.update(_both_ways(cameras, hub, partners, whitenings))
     moved = in_threads(sensitivity, range(len(partners)))
     by_hub, by_partner = (np.moveaxis(by, 1, 0) for by in (moves.by_hub, moves.by_partner))
@@ -372,7 +377,7 @@ def _whitening(strips: _Strips, laid: ImageSource, points: Array) -> Whitening |
     image, plan, grid = strips.images[strips.hub], strips.plan, strips.grid
     if plan.similarity != "whitened":
         return GRADIENT if plan.similarity == "gradient" else None
-    if grid.narrow(image.shape[1]):
+    if strips.narrow:
         return _narrow_whitening(image, laid, grid, plan)
     if len(points) < ENOUGH:
         points = plan.grid(image.shape).centres
@@ -390,19 +395,22 @@ def _with_phase_bias(
 ) -> list[Whitening | None]:
     """Filters with what aliasing adds to matches of like images through them, as far as these tell it."""
     hub, grid, image = strips.hub, strips.grid, strips.images[strips.hub]
-    if strips.searched or strips.rough or strips.finest is not None or grid.narrow(image.shape[1]):
+    plain = strips.plan.similarity == "whitened" and not strips.searched and not strips.narrow
+    if not plain or strips.rough or strips.finest is not None:
         return whitenings
+    centres = grid.centres
     # rows that share no pixel
     apart = math.ceil(grid.window[0] / max(float(np.diff(grid.lines[:2]).sum()), 1.0))
     rows = np.repeat(np.arange(len(grid.lines)) % apart == 0, len(grid.columns))
     sizes, sigmas = np.zeros((len(partners), 2)), np.full((len(partners), 2), np.inf)
     for j, filters in enumerate(whitenings):
         some = np.flatnonzero(usable[j] & rows)
-        unknown = filters is not None and filters is not GRADIENT and filters.phase_bias is None
-        if filters is None or not unknown or not len(some) or not _alike(strips.cameras, hub, partners[j]):
+        if filters is None or filters.phase_bias is not None or not len(some):
+            continue
+        if not _alike(strips.cameras, hub, partners[j]):
             continue
         some = some[np.unique(np.linspace(0, len(some) - 1, min(len(some), PHASE_WINDOWS)).astype(int))]
-        points, other = grid.centres[some], laid[j]
+        points, other = centres[some], laid[j]
 
         def matched(through: Whitening, points: Array = points, other: ImageSource = other) -> Matches:
             return match_images(image, other, points, points, window=grid.window, whitening=through)

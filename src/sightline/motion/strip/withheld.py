@@ -195,26 +195,14 @@ def judged(strip: Strip, state: StripState, options: RecoverOptions) -> tuple[Wi
     cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
     out: list[WithheldAxis] = []
     for a, b in pairs:
-        out += _judged_pair(strip, state, options, (a, b), most, cameras, asked=bool(asked))
+        found = compared(strip, state, options, (a, b), most, cameras)
+        if found is not None:
+            out += _axes(found, (strip.bands[a].name, strip.bands[b].name), asked=bool(asked))
     return tuple(out)
 
 
-def _judged_pair(
-    strip: Strip,
-    state: StripState,
-    options: RecoverOptions,
-    pair: tuple[int, int],
-    most: int,
-    cameras: Sequence[MovingCamera],
-    *,
-    asked: bool,
-) -> list[WithheldAxis]:
-    """Both axes of one pair; none where too few windows match."""
-    found = compared(strip, state, options, pair, most, cameras)
-    if found is None:
-        return []
-    a, b = pair
-    names = (strip.bands[a].name, strip.bands[b].name)
+def _axes(found: Compared, names: tuple[str, str], *, asked: bool) -> list[WithheldAxis]:
+    """Both axes of one pair."""
     seen = found.star.present[:, 0]
     out = []
     for k, axis in enumerate(AXES):
