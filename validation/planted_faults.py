@@ -88,6 +88,7 @@ EQUIVALENT = {
     "key = (end + begin, share, columns.tobytes())": "as different where columns are, or their number, is",
     "peak[k, axis] += np.clip(0.625 * (low - high) / bend, -0.5, 0.5)": "a start of steps",
     "stars_from_body = Rotation.from_rotvec(np.outer(t - t[1], rate)) * reference": "one turn before all",
+    "seen = np.isfinite(pixels[:, 1])": "a pixel that is not seen is NaN in both",
     "i, j0, j1 = top - 3 + r, left - 3, left - 4 + count": "the end of a slice, which compiled code ignores",
 }
 

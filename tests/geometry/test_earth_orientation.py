@@ -74,6 +74,17 @@ def test_axes_of_equator_and_equinox_are_those_of_erfa(table):
         np.testing.assert_allclose(to_fixed[axes], expected, atol=3e-9, err_msg=axes)
 
 
+def test_the_celestial_pole_is_that_of_the_theory_with_the_offsets_of_the_table():
+    """Without polar motion the third of the Earth-fixed axes is the celestial pole, (X + dX, Y + dY)."""
+    days, offset, still = np.array([59000.0, 59003.0]), np.array([2e-6, -3e-6]), np.zeros(2)
+    table = EarthOrientation(days, np.zeros((2, 2)), still - 37.0, np.tile(offset, (2, 1)), still, still, "")
+    t = np.array([0.0, 86400.0])
+    pole = fixed_axes("GCRF", t, (59001, 0.0), table).turn[:, 2, :2]
+    x, y, _ = erfa.xys06a(2400000.5 + 59001, (32.184 + t) / 86400.0)
+    # s' turns by 1e-10 rad about the pole itself
+    np.testing.assert_allclose(pole, np.column_stack([x, y]) + offset, rtol=0.0, atol=1e-11)
+
+
 def test_the_change_is_that_of_the_axes(table):
     t = np.array([100.0])
     near = [fixed_axes("EME2000", t + shift, (59001, 0.0), table).turn[0] for shift in (-5.0, 5.0)]

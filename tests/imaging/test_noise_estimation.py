@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -89,6 +91,20 @@ def test_bounds_hold(strips):
         assert conversion_bound(noise) < 1.0 / OPTIONS.shot
         # what is left of the scene is within the bound, so the bound is above the estimate
         assert noise.white.bound.value > noise.white.variance.value
+
+
+def test_the_first_and_the_last_line_without_charge_tell_nothing(strips):
+    strip, noise = strips[0]
+    reverse = {name: getattr(strip, name).copy() for name in ("reverse", "reverse_buffer", "reverse_dark")}
+    for codes in reverse.values():
+        codes[[0, -1]] = 200  # some 6,000 DN
+    spoilt = estimate_strip_noise(pixels_of(replace(strip, **reverse)))
+    # what is left is the mean of what was written there: to a step of 18 DN over 18 lines, of 5 sigmas
+    np.testing.assert_allclose(spoilt.level, OPTIONS.level + 0.5 * OPTIONS.drift, atol=8.0)
+    for name in ("level", "percentiles", "ceiling"):
+        np.testing.assert_array_equal(getattr(spoilt, name), getattr(noise, name))
+    for name in ("dark_signal", "dark_shot", "offsets"):
+        assert getattr(spoilt, name) == getattr(noise, name)
 
 
 def test_a_law_in_electrons_is_that_of_the_sum(strips):

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from sightline.geometry.interpolation import interpolate
 from sightline.imaging.reduce import averaged
 from sightline.imaging.source import ArrayImage
-from sightline.imaging.warp import WarpedImage
+from sightline.imaging.warp import WarpedImage, lattice_map
 
 SHAPE = (90, 400)
 # cycles per px, all within the 0.36 that the kernel promises to carry
@@ -271,3 +271,24 @@ def test_a_map_with_a_corner_is_followed_about_a_rough_column():
     place = mapping(np.arange(20.0, 30.0), np.arange(150.0, 250.0))
     assert np.abs(warped.read((20, 30), (150, 250)) - pattern(place[..., 0], column)).max() < KERNEL
     assert np.abs(pattern(line, column) - pattern(place[..., 0], column)).max() > 2.0 * KERNEL
+
+
+def test_a_map_from_its_lattice_is_exact_for_cubics_and_asks_for_few_places():
+    asked = []
+
+    def cubic(line, column):
+        return np.stack([
+            5.0 + line - 0.2 * column + 1e-3 * line * column + 1e-5 * (line**3 - 2.0 * line * column**2),
+            -7.0 + 0.3 * line + 1.1 * column - 2e-3 * line**2 + 1e-5 * (column**3 + 3.0 * line**2 * column),
+        ], axis=-1)  # fmt: skip
+
+    def exact(grid):
+        asked.append(len(grid))
+        return cubic(*grid.T)
+
+    lines, columns = np.arange(3.0, 44.0), np.array([10.0, 10.5, 47.0, 60.25])
+    found = lattice_map(exact)(lines, columns)
+    # places up to 100 px, float64
+    assert_allclose(found, cubic(*np.meshgrid(lines, columns, indexing="ij")), rtol=0.0, atol=1e-11)
+    # 8 px apart, and one more beyond each end: 8 by 10
+    assert asked == [80]

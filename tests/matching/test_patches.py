@@ -41,3 +41,20 @@ def test_few_windows_far_apart_stay_together():
     # two rows at nine columns: pieces of 40 x 140 px each, whose calls would cost more than what lies between
     points = grid(300.0 + 600.0 * np.arange(9))[:18]
     assert len(list(group_windows(points, points, np.arange(18), WINDOW, 1_500_000))) == 1
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_boxes_of_groups_are_small_in_both_images(turned):
+    """Pixels that a group reads, its windows with a margin, by the corners of its windows."""
+    size, most = (60, 90), 60_000
+    line, column = np.meshgrid(20.0 * np.arange(12), 30.0 * np.arange(15), indexing="ij")
+    near = np.stack([line.ravel(), column.ravel()], axis=1)
+    # the other image sees the windows at half the scale, or twice; either may be the larger
+    points = (near, 0.5 * near + 7.0) if not turned else (near, 2.0 * near - 5.0)
+    groups = list(group_windows(*points, np.arange(len(near)), size, most))
+    assert np.array_equal(np.sort(np.concatenate(groups)), np.arange(len(near)))
+    assert 3 < len(groups) < len(near)
+    for group in groups:
+        for p in points:
+            corners = np.concatenate([p[group] - np.array(size) / 2, p[group] + np.array(size) / 2])
+            assert len(group) == 1 or np.ptp(corners, axis=0).prod() < most

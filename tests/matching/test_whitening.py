@@ -7,7 +7,7 @@ from matching.fourier_textures import shifted_pair
 from sightline.errors import InputError
 from sightline.imaging.source import ArrayImage
 from sightline.matching.select import grid_points
-from sightline.matching.whitening import _EDGE, Whitening, _tiles, estimate_whitening
+from sightline.matching.whitening import _EDGE, Whitening, _smooth_log, _tiles, estimate_whitening
 
 SHAPE = (384, 512)
 
@@ -82,3 +82,22 @@ def test_tiles_of_b_lie_under_those_of_a_by_the_affine():
         own = np.array([row, column]) - wider + k
         seen = predicted[0] + (np.eye(2) + linear[0]) @ (own - point[0])
         assert b[0][k] == pytest.approx(seen @ [10.0, 1.0], abs=0.1)
+
+
+def test_a_smooth_spectrum_is_known_beyond_where_it_was_measured():
+    """Logarithms of sixth order in the squares of frequencies, from their values at low ones."""
+    fy, fx = np.meshgrid(np.fft.fftfreq(24), np.fft.rfftfreq(40), indexing="ij")
+
+    def spectrum(y, x):
+        p, q = y**2, x**2
+        return np.exp(
+            2.0 - 0.7 * np.log(p + q + 4e-4) + 3.0 * p - 5.0 * q + 8.0 * p * q - 6.0 * p**2 + 9.0 * q**2
+            + 20.0 * p**3 - 15.0 * q**3 + 12.0 * p * q * (p + q)
+        )  # fmt: skip
+
+    use = (np.abs(fy) < 0.4) & (fx < 0.4) & (fy**2 + fx**2 > 0.0)
+    values = np.where(use, spectrum(fy, fx), np.nan)
+    found = _smooth_log(values, fy, fx, use, 1.0 + np.abs(fy) + fx)
+    wanted = spectrum(*np.meshgrid(np.fft.fftfreq(64), np.fft.rfftfreq(64), indexing="ij"))
+    # what singular values below 1e-8 of the largest would have told
+    np.testing.assert_allclose(found, wanted, rtol=1e-4)

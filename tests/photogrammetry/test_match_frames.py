@@ -91,6 +91,12 @@ def test_the_errors_of_a_point_in_two_frames_share_no_more_than_the_hub(flown, t
     assert 0.2 < shared < 0.7
 
 
+def test_what_the_noise_does_not_show_is_added_to_the_variance_of_every_sighting(flown, tracks):
+    more = match_frames(flown.images, flown.planned, flown.level, TrackPlan(height_range=400.0, floor_px=0.3))
+    np.testing.assert_array_equal(more.pixels, tracks.pixels)
+    np.testing.assert_allclose(more.sigma_px**2, tracks.sigma_px**2 + 0.09, rtol=1e-9)
+
+
 def test_images_in_angles_out(flown):
     found = orient(match_problem(flown.problem, flown.images))
     whitened = (found.angles - flown.scenario.angles).ravel()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.photogrammetry.block.pose_noise import PoseNoise, aimed_axes
 from sightline.photogrammetry.sightings import Sightings
-from sightline.photogrammetry.triangulate import triangulate
+from sightline.photogrammetry.triangulate import meet_rays, triangulate
 
 HEIGHT, FOCAL_PX = 500e3, 27000.0
 MOUNT = Rotation.from_euler("ZYX", [80.0, 3.0, -2.0], degrees=True).as_matrix()
@@ -166,3 +166,24 @@ def test_many_sightings_take_memory_of_their_number():
     # some twelve numbers of each sighting at a time; its pairs with all others of its point would be 2048
     assert peak < 200 * plain.image.size
     np.testing.assert_allclose(found.position, truth, atol=1e-6)
+
+
+def test_rays_meet_between_them_and_miss_by_the_angles_that_they_are_off():
+    """Pairs of rays that cross at right angles 2 h apart, one point each, and others in closed form."""
+    h, along = 0.5, np.array([3.0, 10.0])
+    middle = np.array([[20.0, -4.0, 7.0], [-1.0, 2.0, 30.0]])
+    x, y, z = np.eye(3)
+    origins = [
+        middle[0] - along[0] * x + h * z, middle[0] - along[1] * y - h * z,  # along x above, along y below
+        middle[1] - along[0] * y + h * x, middle[1] + along[1] * z - h * x,
+        5.0 * x, 9.0 * y,  # parallel
+        middle[0] - 2.0 * x, middle[0] - 6.0 * (y + z), middle[0] + 4.0 * z,  # through one point, one away
+        y,  # alone
+    ]  # fmt: skip
+    directions = [x, y, y, -z, z, z, x, (y + z) / np.sqrt(2.0), z, x]
+    point = np.array([0, 0, 1, 1, 2, 2, 3, 3, 3, 5])
+    met = meet_rays(np.array(origins), np.array(directions), point, 6)
+    expected = np.array([middle[0], middle[1], [np.nan] * 3, middle[0], [np.nan] * 3, [np.nan] * 3])
+    np.testing.assert_allclose(met.points, expected, atol=1e-12)
+    np.testing.assert_allclose(met.miss[:4], np.arctan(h / np.tile(along, 2)), atol=1e-12)
+    np.testing.assert_allclose(met.miss[6:9], [0.0, 0.0, np.pi], atol=1e-7)

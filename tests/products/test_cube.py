@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 from sightline.compiled import only_read
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic
+from sightline.geometry.instrument import AreaDetector
 from sightline.imaging.source import ArrayImage
 from sightline.products.cube_bands import frame_bands, line_bands
 from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
 from sightline.products.cube_kernels import PHASES, cells_by_phase, fill_bands, place_weights, see_places
 from sightline.products.cube_tally import CubePicture, picture_bands, picture_factor
-from sightline.products.frame_cube import FilledTile, MapTile, line_gain
+from sightline.products.frame_cube import FilledTile, FrameViews, MapTile, line_gain, map_outlines
 from sightline.products.ground_model import GroundModel, fit_ground
 from sightline.products.resample import BEFORE, TAPS, product_weights
 
@@ -82,6 +83,19 @@ def test_bands_of_a_continuous_filter_have_lines_for_the_steps_flown():
     assert len(line_bands(nm, step=5.0, lines_per_step=3.0)) == 32
     one = layout.of([3, 60])
     assert one.names == (layout.names[3], layout.names[60]) and set(one.entry_group) == {0, 1}
+
+
+def test_wavelengths_asked_for_lie_within_half_a_band_of_the_lines():
+    """Lines from 450 to 900 nm: ten bands of 45 nm, which reach 22.5 nm beyond either end."""
+    nm = np.linspace(900.0, 450.0, 480)
+    step = 480 / 10
+    for ends in ([428.0, 600.0], [922.0, 600.0]):
+        assert line_bands(nm, ends, step=step, lines_per_step=1.0).wavelength_nm.tolist() == ends
+    for wrong in (427.0, 923.0, np.nan):
+        with pytest.raises(InputError, match=f"from 450 to 900 nm, got {wrong:g}"):
+            line_bands(nm, [600.0, wrong], step=step, lines_per_step=1.0)
+    with pytest.raises(InputError, match="twice"):
+        line_bands(nm, [600.0, 600.0])
 
 
 def test_bands_of_whole_frames():
@@ -241,6 +255,22 @@ def test_between_pixels_a_plane_goes_on_up_to_all_borders():
     assert found[middle] == pytest.approx(wanted[middle], abs=0.05)
 
 
+@pytest.mark.parametrize("period", [(2, 3), (3, 1), (1, 1)])
+@pytest.mark.parametrize("masked", [True, False])
+def test_cells_of_a_phase_lie_by_themselves(period, masked):
+    image = np.arange(7 * 8, dtype=np.float32).reshape(7, 8)
+    bad = image % 5.0 == 2.0 if masked else np.zeros((0, 0), dtype=bool)
+    cells, spoiled, sizes = cells_by_phase(image, bad, period)
+    assert len(cells) == len(sizes) == period[0] * period[1]
+    for k, (rows, columns) in enumerate(sizes):
+        i, j = divmod(k, period[1])
+        own = [(y, x) for y in range(i, 7, period[0]) for x in range(j, 8, period[1])]
+        assert rows * columns == len(own)
+        assert cells[k, :rows, :columns].ravel().tolist() == [image[at] for at in own]
+        if masked:
+            assert spoiled[k, :rows, :columns].ravel().tolist() == [bad[at] for at in own]
+
+
 def test_each_cell_of_a_mosaic_is_read_where_it_lies():
     # bands of six cells, each on a plane of its own: resampling a plane is exact, a cell taken for its
     # neighbour shows as the slope times a pixel
@@ -300,6 +330,28 @@ def test_a_rolling_shutter_sees_a_place_by_the_pose_of_its_own_line():
     middle = only_read(matrices[1:2], positions[1:2], lens, np.zeros(5))
     see_places(read[0], places, *middle, 10.0, (lines, 300), still)
     assert np.abs(still - pixels).max() > 2.0
+
+
+def test_frames_are_outlined_where_the_rims_of_their_pixels_meet_the_ground():
+    """Level frames 50 m over z = 0, 100 px to the radian: lines go down along -y, columns along x."""
+    detector = AreaDetector("frame", (40, 60), 100.0, (19.0, 31.0))
+    nadir = np.diag([1.0, -1.0, -1.0])
+    # the first frame's shutter reads line 20 and the last line 10 and 20 m further along x
+    position = np.array([[[5.0 + 10.0 * k, 8.0, 50.0] for k in range(3)], [[-300.0, 0.0, 50.0]] * 3])
+    views = FrameViews(detector, position, np.tile(nadir, (2, 3, 1, 1)), np.zeros(2, int), np.zeros(2))
+
+    def flat(origin, direction):
+        return origin - origin[:, 2:] / direction[:, 2:] * direction
+
+    (moved_x, moved_y), (x, y) = map_outlines(views, flat).transpose(0, 2, 1)
+    left, right = 0.5 * (-0.5 - 31.0), 0.5 * (59.5 - 31.0)
+    top, bottom = -0.5 * (-0.5 - 19.0), -0.5 * (39.5 - 19.0)
+    assert [x.min(), x.max()] == pytest.approx([left - 300.0, right - 300.0])
+    assert [y.min(), y.max()] == pytest.approx([bottom, top])
+    assert [moved_y.min(), moved_y.max()] == pytest.approx([bottom + 8.0, top + 8.0])
+    for row, shift in ((top, 5.0), (bottom, 25.0)):
+        there = moved_x[np.abs(moved_y - 8.0 - row) < 1e-9]
+        assert [there.min(), there.max()] == pytest.approx([left + shift, right + shift])
 
 
 def test_the_picture_is_the_mean_of_tiles_and_its_window_where_all_its_bands_meet():

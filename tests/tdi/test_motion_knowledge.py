@@ -80,6 +80,20 @@ def test_directions_go_straight_on_beyond_their_ends():
     assert_allclose(prolonged(t, line, at), expected, atol=1e-12)
 
 
+def test_directions_that_bend_are_straight_between_their_times_and_go_on_at_the_mean_slope_of_the_end():
+    t = np.cumsum(1.0 + 0.3 * np.cos(np.arange(60.0)))
+    bent = np.stack([t**2, np.exp(0.05 * t)], axis=1)
+    inside = 0.5 * (t[1:] + t[:-1])
+    between = [np.interp(inside, t, column) for column in bent.T]
+    assert_allclose(prolonged(t, bent, inside), np.stack(between, axis=1), rtol=1e-12)
+    assert_allclose(prolonged(t, bent, t), bent, rtol=1e-12)
+    # a twentieth of 60 times: three steps
+    for end, inner, beyond in ((0, 3, t[0] - 2.0), (59, 56, t[59] + 5.0)):
+        slope = (bent[end] - bent[inner]) / (t[end] - t[inner])
+        expected = bent[end] + (beyond - t[end]) * slope
+        assert_allclose(prolonged(t, bent, np.array([beyond])), expected[None], rtol=1e-12)
+
+
 def test_bad_input_is_refused():
     motion = Motion(T, np.zeros((LINES, 3)))
     with pytest.raises(InputError, match="error_psd"):

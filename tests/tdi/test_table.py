@@ -12,7 +12,7 @@ from sightline.tdi import table_build
 from sightline.tdi.choose import choose_settings, merit_of
 from sightline.tdi.setting import TdiGrid
 from sightline.tdi.table_build import build_table
-from sightline.tdi.table_certificate import dense_signals, table_loss
+from sightline.tdi.table_certificate import dense_signals, shift_of, table_loss
 from sightline.tdi.table_stretches import well_codes
 from tdi.tdi_example import field
 
@@ -68,6 +68,8 @@ CASES = {
     "wells": ({"full_well": 3e4}, 0.02),
     "snr": ({"snr_min": 40.0}, 0.01),
     "mtf": ({"mtf_min": 0.08}, 0.01),
+    # each column is sure of few settings, and of some stretches of signals by one end only
+    "narrow": ({"full_well": 2e3, "snr_min": 40.0}, 0.3),
     "all": ({"full_well": 3e4, "snr_min": 30.0, "mtf_min": 0.05}, 0.02),
 }
 
@@ -202,6 +204,14 @@ def test_signals_beyond_16_bits_are_quantised():
     assert certificate.holds and table.shift == 3 and table.top == 500_000 >> 3
 
 
+@pytest.mark.parametrize("bits", [16, 17, 20])
+def test_as_few_bits_are_dropped_as_let_signals_and_one_electron_more_fit_16(bits):
+    for top in (2**bits - 2, 2**bits - 1.5, 2**bits - 1, 2**bits, 1.5 * 2**bits):
+        few = next(s for s in range(20) if int(top + 1) // 2**s < 2**16)
+        assert shift_of(np.array([3.0, top, 1.0])) == few, top
+    assert shift_of(np.array([1.0, 8000.0])) == 0
+
+
 def test_where_electrons_are_too_coarse_the_certificate_says_so():
     # the lowest signals differ by whole electrons: no table is that fine
     model, choice = field(grid=TdiGrid(np.array([3, 4, 60, 90]), np.array([0.05, 1.0])), full_well=600.0)
@@ -286,7 +296,13 @@ def test_room_is_left_in_the_columns_in_which_the_bound_broke(monkeypatch):
 
     def tighten(self, failed, whole=table_build._Builder.tighten):
         tightened.append(failed)
+        before = dict(self.built_to)
         whole(self, failed)
+        first = self.begins[np.searchsorted(self.begins, failed, side="right") - 1].tolist()
+        for begin, share in self.built_to.items():
+            # cells are built to 98 % of the bound, and to 98 % of that from then on
+            assert share == pytest.approx(before.get(begin, 0.98) * (0.98 if begin in first else 1.0))
+        assert set(self.built_to) == {*before, *first}
 
     monkeypatch.setattr(table_build, "SAMPLES", 2)
     monkeypatch.setattr(table_build, "certify", certify)

@@ -10,6 +10,7 @@ from motion.estimators.s1_combinations import in_turn, max_band
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.estimators.harmonic import restore
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.wiener import wiener
 from sightline.motion.observability import chain_gain, combined_gain, noise_gain
@@ -162,3 +163,26 @@ def test_when_the_clock_starts_changes_nothing(series):
     # times of 64 s hold 1e-14 s
     assert moved.angles == pytest.approx(found.angles, abs=1e-6)
     assert series.sigmas(moved) == pytest.approx(series.sigmas(found), rel=1e-6)
+
+
+def test_a_filter_is_chosen_by_the_density_of_each_pair_and_axis():
+    """White noise of variance v has v up to its Nyquist frequency; a tone of amplitude a has a^2 / 2."""
+    t, seen = np.arange(0.0, 4.0, 2e-3), []
+    variances = np.array([[1.0, 4.0, 0.25], [9.0, 0.5, 2.0]])
+    pairs = [
+        AngleDifferences(t, lag, np.zeros((len(t), 3)), np.tile(np.diag(v), (len(t), 1, 1)))
+        for lag, v in zip((0.01, 0.05), variances, strict=True)
+    ]
+
+    def choose(bins):
+        seen.append(bins)
+        return np.zeros((3, *bins.gain.shape), dtype=complex)
+
+    restore(pairs, t, choose, degree=0, motion_psd=lambda f: np.ones((3, len(f))))
+    (bins,) = seen
+    nyquist = 0.5 / 2e-3
+    assert bins.frequency[[0, -1]] == pytest.approx([0.0, nyquist], rel=1e-3)
+    assert bins.noise_psd * nyquist == pytest.approx(variances.T, rel=1e-6)
+    # angle(t + lag) - angle(t) of exp(2 pi i f t)
+    lags = np.array([0.01, 0.05])[:, None]
+    assert bins.gain == pytest.approx(np.exp(2j * np.pi * bins.frequency * lags) - 1.0, abs=1e-9)

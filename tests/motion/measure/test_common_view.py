@@ -85,6 +85,13 @@ def test_too_few_columns_in_common_are_none():
     assert common_views(cameras, Plane()) == {}
 
 
+def test_images_that_look_at_nearly_the_same_columns_share_those_that_all_see():
+    views = {(0, 1): (100, 300), (0, 2): (102, 303), (0, 3): (98, 297), (0, 4): (150, 300)}
+    alike, other = partners_of(views, (0, 1, 2, 3, 4), 0, 500)
+    assert alike.images == (1, 2, 3) and alike.columns == (102 + EDGE, 297 - EDGE)
+    assert other.images == (4,) and other.columns == (150 + EDGE, 300 - EDGE)
+
+
 class TestViewingAxes:
     def test_a_strip_that_looks_down_keeps_its_body_axes(self):
         cameras = [camera(), camera(behind=300.0)]

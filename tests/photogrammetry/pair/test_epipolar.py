@@ -229,6 +229,29 @@ def test_angles_not_known_yet_are_not_taken_for_mismatches(count):
     assert epipolar_outliers(pairs, NONE, angles=our_angles(10.0 * TRUTH)).sum() <= 1
 
 
+def test_a_shot_of_few_pairs_is_where_its_median_is_to_that_ones_sigma():
+    """Three pairs a shot, poses known to nothing: a median of n has the variance pi / (2 n) of one pair."""
+    shots, threshold = 40, 4.0
+    rng = np.random.default_rng(16)
+    shooting = shoot(Plan(shots=shots), QUIET, ground(rng, 3, 11e3, 400.0, "smooth"), rng)
+    # one pair in each shot is off across the epipolar line, by a little more from shot to shot
+    shooting.m[1][:, 1, 1] += shooting.plan.pixel * np.linspace(0.5, 0.9, shots)
+    pairs = pair_sightings(shooting.sightings(0.1))
+    residual, sigma = epipolar_residuals(pairs, our_angles(TRUTH))
+    off = np.abs(residual / sigma).reshape(shots, 3).max(axis=1)
+    limit = threshold * np.sqrt(1.0 + np.pi / 6.0)
+    assert off.min() < 0.95 * limit and 1.05 * limit < off.max()
+    rejected = epipolar_outliers(
+        pairs, PoseNoise(1e5, 0.0), threshold=threshold, angles=our_angles(TRUTH)
+    ).reshape(shots, 3)
+    # poses of 1e5 m are 1e4 px: what is known of them beforehand is 1e-10 of the rest
+    assert np.array_equal(rejected.any(axis=1), off > limit)
+    assert rejected.sum() == (off > limit).sum()
+    # the same poses known exactly: the shot is where they say
+    exactly = epipolar_outliers(pairs, NONE, threshold=threshold, angles=our_angles(TRUTH))
+    assert np.array_equal(exactly.reshape(shots, 3).any(axis=1), off > threshold)
+
+
 def test_bad_input_is_refused():
     rng = np.random.default_rng(11)
     shooting = shoot(SHORT, Noise(), ground(rng, 5, 11e3, 400.0, "smooth"), rng)
