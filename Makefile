@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 CORE := $(VENV)/.core-installed
 DEV := $(VENV)/.dev-installed
+DOCS := $(VENV)/.docs-installed
 DEMO ?= demo
 SEED ?= 1
 MINUTES ?= 30
@@ -39,7 +40,12 @@ $(DEV): constraints-dev.txt $(CORE)
 	$(PIP) install --no-compile --require-hashes -r constraints-dev.txt  # tests import a small part of it
 	@touch $@
 
-environment: $(DEV)  ## everything needed to work on Sightline
+$(DOCS): constraints-docs.txt $(DEV)
+	@echo "installing what the site needs into $(VENV)"
+	$(PIP) install --no-compile --require-hashes -r constraints-docs.txt
+	@touch $@
+
+environment: $(DOCS)  ## everything needed to work on Sightline
 
 demo: $(CORE)  ## the main job on a scene it renders, with a score against truth and a report to open
 	$(BIN)/sightline demo --out $(DEMO) --seed $(SEED) --overwrite
@@ -55,7 +61,7 @@ check: style  ## style, types, architecture
 test: $(DEV)  ## all tests; what had to be left out is named at the end
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(ARGS)
 
-docs: $(DEV)  ## the site in build/site, from docs/: its notebooks are run, its links and names checked; no network
+docs: $(DOCS)  ## the site in build/site, from docs/: its notebooks are run, its links and names checked; no network
 	cd website && NO_MKDOCS_2_WARNING=1 OMP_NUM_THREADS=1 $(abspath $(BIN))/python -m mkdocs build --quiet
 	OMP_NUM_THREADS=1 $(BIN)/python website/check.py
 
@@ -76,7 +82,9 @@ constraints:  ## refresh the pinned versions (needs uv): review the change like 
 	printf 'hatchling\neditables\n' | $(UV) pip compile --universal --generate-hashes --no-header --quiet $(UPGRADE) \
 		--python-version 3.11 pyproject.toml - -o constraints.txt
 	printf 'hatchling\neditables\n' | $(UV) pip compile --universal --generate-hashes --no-header --quiet $(UPGRADE) \
-		--python-version 3.11 --extra dev --extra dask --extra sfm --extra cube --extra plot --extra catalog --extra docs -c constraints.txt pyproject.toml - -o constraints-dev.txt
+		--python-version 3.11 --extra dev --extra dask --extra sfm --extra cube --extra plot --extra catalog -c constraints.txt pyproject.toml - -o constraints-dev.txt
+	printf 'hatchling\neditables\n' | $(UV) pip compile --universal --generate-hashes --no-header --quiet $(UPGRADE) \
+		--python-version 3.11 --extra dev --extra dask --extra sfm --extra cube --extra plot --extra catalog --extra docs -c constraints-dev.txt pyproject.toml - -o constraints-docs.txt
 
 clean:  ## forget the environment and what the tools left
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis
