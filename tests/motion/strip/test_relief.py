@@ -14,7 +14,7 @@ from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.relief import (
     detrended_share,
     hub_delay,
-    relief_length,
+    relief_lengths,
     relief_matters,
     relief_share,
     row_processes,
@@ -22,7 +22,7 @@ from sightline.motion.strip.relief import (
     terrain_covariance,
 )
 
-HEIGHT, LENGTH, HALF_WIDTH = 12.0, 700.0, 1000.0
+HEIGHT, LENGTH, HALF_WIDTH, ALONG = 12.0, 700.0, 1000.0, 20000.0
 
 
 def matern32(distance: np.ndarray, length: float = LENGTH) -> np.ndarray:
@@ -60,7 +60,9 @@ def test_rows_have_the_mean_and_slope_of_a_dense_field():
     line = np.polynomial.polynomial.polyfit(x, each_row, 1).reshape(2, rows, draws)
 
     grid = TimeGrid(0.0, step / SPEED, 60)
-    for process, values in zip(row_processes(HEIGHT, LENGTH, HALF_WIDTH, SPEED, grid), line, strict=True):
+    for process, values in zip(
+        row_processes(HEIGHT, (LENGTH, LENGTH), HALF_WIDTH, SPEED, grid), line, strict=True
+    ):
         got = dense_covariance(process)[20, 20 : 20 + rows]
         want = values @ values[0] / draws
         # a product of two correlated variables of that variance scatters by at most sqrt(2 / draws) = 2.6 %
@@ -112,12 +114,14 @@ def test_the_length_of_relief_is_found_from_what_pairs_share_along_the_parallax(
     post[..., component] += heights[:, None] * by_height
     table = np.zeros((len(heights), 2, 2), np.float32)
     table[..., component] = by_height
-    found = relief_length(row_scatter([replace(star, by_height=table)], [post]), HEIGHT, HALF_WIDTH)
+    scatter = row_scatter([replace(star, by_height=table)], [post])
+    of_mean, of_slope = relief_lengths(scatter, HEIGHT, HALF_WIDTH, ALONG)
     # 1500 rows give the share to sqrt(2 / 1500) = 4 % even if one shape alone were left in a row, the errors
     # of matching, half shared, to 0.05^2 / 2 / (0.012 * 0.02 * 144 * share), below 3 % / sqrt(1500 * 19) of
     # it; the share falls with length^-1 .. length^-3, so 4 * 4 % of it is at most 16 % of length; the table
-    # of lengths steps by 14 %
-    assert length / 1.3 < found < length * 1.3
+    # of lengths steps by 14 %; two standard deviations either way are a length each
+    assert length / 1.3 < of_mean < length * 1.3
+    assert length / 1.3 < of_slope < length * 1.3
 
 
 def test_without_relief_in_the_residuals_its_length_is_the_longest_that_is_believed():
@@ -129,15 +133,52 @@ def test_without_relief_in_the_residuals_its_length_is_the_longest_that_is_belie
     post = 1e-4 * np.random.default_rng(5).standard_normal((*star.t.shape, 2))
     seen = [replace(star, by_height=table)]
     beside = row_scatter(seen, [post])
-    assert relief_length(beside, HEIGHT, HALF_WIDTH) == pytest.approx(2.0 * HALF_WIDTH)
+    assert relief_lengths(beside, HEIGHT, HALF_WIDTH, ALONG) == pytest.approx(2 * (2.0 * HALF_WIDTH,))
     # slopes of a tenth, where the swath is narrower than such hills
-    assert relief_length(beside, HEIGHT, HEIGHT) == pytest.approx(10.0 * HEIGHT)
+    assert relief_lengths(beside, HEIGHT, HEIGHT, ALONG) == pytest.approx(2 * (10.0 * HEIGHT,))
+
+
+def test_at_lags_so_short_that_relief_is_lost_in_errors_any_length_may_be_and_each_hides_what_it_can():
+    """Errors of matches, alike on both axes but for chance, look like hills: they tell nothing."""
+    star = plain_star(60, 6, 2, 0.03)
+    table = np.zeros((*star.t.shape, 2), np.float32)
+    table[..., 0] = [-2e-5, -1.3e-4]
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        post = 0.03 * (rng.standard_normal((len(star.t), 1, 2)) + rng.standard_normal((len(star.t), 2, 2)))
+        beside = row_scatter([replace(star, by_height=table)], [post])
+        # 0.03^2 px^2 / sqrt(360) over 2e-5 * 1.3e-4 px^2/m^2 is (140 m)^2: two of these on both sides
+        assert beside[0] < HEIGHT**2 < 140.0**2 < beside[1]
+        # of all lengths the mean of rows has the longest over ten swaths, the slope one of about half a swath
+        of_mean, of_slope = relief_lengths(beside, HEIGHT, HALF_WIDTH, ALONG)
+        assert of_mean == pytest.approx(2.0 * HALF_WIDTH)
+        assert 0.6 * HALF_WIDTH < of_slope < 1.2 * HALF_WIDTH
+
+
+@pytest.mark.parametrize("along", [1500.0, ALONG])
+def test_of_all_lengths_each_has_that_of_the_steepest_trend(along):
+    """Trends of rows by least squares through the dense covariance of a field of 21 x 31 points."""
+    x, y = np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 31)
+    place = np.stack([v.ravel() for v in np.meshgrid(0.5 * along * y, HALF_WIDTH * x, indexing="ij")], axis=1)
+    distance = np.linalg.norm(place[:, None] - place[None, :], axis=2)
+    # coefficient of each of 1, x, y, xy: those that grow with y are trends of the mean and of the slope
+    design = np.stack([np.kron(one, two) for one in (y**0, y) for two in (x**0, x)], axis=1)
+    fit = np.linalg.pinv(design)[2:]
+
+    def trends(length: float) -> np.ndarray:
+        return np.sqrt(np.einsum("ij,jk,ik->i", fit, matern32(distance, length), fit))
+
+    chosen = relief_lengths((0.0, np.inf), HEIGHT, HALF_WIDTH, along)
+    lengths = np.geomspace(50.0, 2.0 * HALF_WIDTH, 25)
+    most = np.max([trends(length) for length in lengths], axis=0)
+    # flat about the largest, between which lengths step by a third: within 2 %
+    assert_allclose([trends(length)[k] for k, length in enumerate(chosen)], most, rtol=0.02)
 
 
 class TestShare:
     def test_what_tells_nothing_leaves_most_of_what_was_given(self):
-        # half of the variance given, a quarter of its 16th and a quarter of its 256th
-        expected = np.sqrt(0.5 + 0.25 / 16.0 + 0.25 / 256.0)
+        # four fifths of the variance given, a tenth of its 16th and a tenth of its 256th
+        expected = np.sqrt(0.8 + 0.1 / 16.0 + 0.1 / 256.0)
         assert relief_share(lambda sigma, length: 0.0, HEIGHT, HALF_WIDTH) == pytest.approx(expected)
 
     @pytest.mark.parametrize("true", [1.0, 0.25, 0.0])

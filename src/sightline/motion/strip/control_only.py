@@ -124,7 +124,7 @@ def solve_by_control(strip: Strip) -> tuple[Strip, StripState, ControlFit]:
         rows = [old if old.kind == KIND else new for old, new in zip(rows, again, strict=True)]
         estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
     _check_tied(estimate)
-    state = StripState(estimate, prior, model, (), (), (), (), 0.0, GroundOrder())
+    state = StripState(estimate, prior, model, (), (), (), (), (0.0, 0.0), GroundOrder())
     used = _control_of(rows)
     assert used is not None
     fit = _fit(grid, estimate, used)

@@ -54,7 +54,7 @@ from sightline.motion.strip.normal_equations import (
 from sightline.motion.strip.relief import (
     beside_row,
     hub_delay,
-    relief_length,
+    relief_lengths,
     relief_matters,
     relief_share,
     row_processes,
@@ -101,7 +101,7 @@ class StripState:
     post_px: tuple[Array, ...]
     with_relief_px: tuple[Array, ...]
     before_px: tuple[Array, ...]
-    relief_length: float
+    relief_lengths: tuple[float, float]
     ground: GroundOrder
     height_sigma: float = 0.0
     relief_share: float = 1.0
@@ -196,16 +196,18 @@ def solve_strip(
     prior = JointPrior(angles, sigmas, constant_sigma=constant, drift_sigma=drift, curve_sigma=curves)
     alike = model.alike(strip.scale, grid.step * grid.count)
     ample_angles = alike.processes(grid)
-    length = before.relief_length if before is not None else 2.0 * strip.half_width
+    lengths = before.relief_lengths if before is not None else 2 * (2.0 * strip.half_width,)
     share = before.relief_share if before is not None else 1.0
     beside = 0.0
 
-    def relief_of(sigma: float, length: float) -> tuple[Autoregressive, Autoregressive]:
-        return row_processes(sigma, length, strip.half_width, strip.ground_speed / orders[0].rate, grid)
+    ground_speed = strip.ground_speed / orders[0].rate
+
+    def relief_of(sigma: float, lengths: tuple[float, float]) -> tuple[Autoregressive, Autoregressive]:
+        return row_processes(sigma, lengths, strip.half_width, ground_speed, grid)
 
     if unknown_relief:
-        beside = share * height_sigma * beside_row(length, strip.half_width)
-        prior = replace(prior, relief=relief_of(share * height_sigma, length))
+        beside = share * height_sigma * beside_row(lengths[0], strip.half_width)
+        prior = replace(prior, relief=relief_of(share * height_sigma, lengths))
 
     # errors of a gyro are followed twice as far as the images tie the motion to itself
     longest = 2.0 * max(_longest_lag(s) for s in stars)
@@ -284,11 +286,13 @@ def solve_strip(
     if unknown_relief:
         if settled:
             share = relief_share(
-                lambda sigma, length: estimate.likelihood_of(relief_of(sigma, length)),
+                lambda sigma, length: estimate.likelihood_of(relief_of(sigma, (length, length))),
                 height_sigma,
                 strip.half_width,
             )
-        length = relief_length(row_scatter(stars, without), share * height_sigma, strip.half_width)
+        along = ground_speed * grid.step * grid.count
+        beside_rows = row_scatter(stars, without)
+        lengths = relief_lengths(beside_rows, share * height_sigma, strip.half_width, along)
     kept = tuple(replace(r, star=s) for s, r in zip(stars, records, strict=True))
     return StripState(
         estimate,
@@ -298,7 +302,7 @@ def solve_strip(
         tuple(post),
         tuple(without),
         tuple(measured),
-        length,
+        lengths,
         orders[0],
         height_sigma,
         share,

@@ -38,9 +38,16 @@ LONGEST, LEAST_SLOPE = 2.0, 0.1
 #: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
 #: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
 STEEPEST_SLOPE = 0.5
+#: Products of residuals that tell a variance; windows that overlap err alike, about so many as one; errors of
+#: matches along lines and columns are unlike by such a share of themselves.
+FEWEST_PRODUCTS, OVERLAP, UNLIKE_AXES = 30, 2.0, 0.2
+#: Standard deviations by which what residuals show of relief may be wrong.
+SURE = 2.0
+#: Rows of a strip, and correlation lengths, of which trends of relief are compared.
+TREND_ROWS, TRENDS = 31, 12
 #: Sizes that unknown relief may have, as shares of the sigma that was given; how probable each is beforehand.
 SHARES = 0.25 ** np.arange(3)
-BELIEF = np.array([0.5, 0.25, 0.25])
+BELIEF = np.array([0.8, 0.1, 0.1])
 #: Correlation lengths over which likelihoods are averaged, from the shortest to the longest that is believed.
 LENGTHS = 3
 #: Smaller sizes are not tried where one is less likely than the best by this, in natural logarithms.
@@ -113,27 +120,36 @@ def _row_functionals() -> tuple[Array, Array, Array]:
     return x, np.full(ROW_SAMPLES, 1.0 / ROW_SAMPLES), x / (x @ x)
 
 
+def _row_covariances(length: float, half_width: float, apart: Array) -> tuple[Array, Array]:
+    """Covariance of the means, and of the slopes, of rows of unit terrain `apart` (m) from the first."""
+    x, *functionals = _row_functionals()
+    across = half_width * np.subtract.outer(x, x)
+    k = terrain_covariance(np.hypot(across[None], apart[:, None, None]), length)
+    first, second = (np.einsum("i,lij,j->l", w, k, w) for w in functionals)
+    return first, second
+
+
 def row_processes(
-    sigma: float, length: float, half_width: float, ground_speed: float, grid: TimeGrid
+    sigma: float, lengths: tuple[float, float], half_width: float, ground_speed: float, grid: TimeGrid
 ) -> tuple[Autoregressive, Autoregressive]:
     """Mean height and cross-track slope of rows of terrain as processes on the time grid.
 
     Parameters
     ----------
-    sigma, length : float
+    sigma : float
         m; of the terrain.
+    lengths : (2,)
+        m; its correlation lengths, as the mean and as the slope has them.
     half_width : float
         m; half of the swath.
     ground_speed : float
         m/s; along the track.
     grid : TimeGrid
     """
-    x, mean, slope = _row_functionals()
-    lags = grid.step * ground_speed * np.arange(ORDER + 1.0)
-    across = half_width * np.subtract.outer(x, x)
-    k = sigma**2 * terrain_covariance(np.hypot(across[None], lags[:, None, None]), length)
-    first, second = (np.einsum("i,lij,j->l", w, k, w) for w in (mean, slope))
-    return autoregressive(first, ORDER, grid.count), autoregressive(second, ORDER, grid.count)
+    apart = grid.step * ground_speed * np.arange(ORDER + 1.0)
+    of_each = (_row_covariances(length, half_width, apart)[k] for k, length in enumerate(lengths))
+    mean, slope = (autoregressive(sigma**2 * one, ORDER, grid.count) for one in of_each)
+    return mean, slope
 
 
 def detrended_share(length: float, half_width: float) -> float:
@@ -153,14 +169,16 @@ def beside_row(length: float, half_width: float) -> float:
     return math.sqrt(detrended_share(min(length, half_width), half_width))
 
 
-def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> float:
-    """Variance (m^2) of unknown relief about mean and slope of its rows, from residuals that hold it.
+def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> tuple[float, float]:
+    """Least and largest variance (m^2) that unknown relief may have about mean and slope of its rows.
 
     Notes
     -----
-    What the pairs share along the parallax beyond what they share square to it is taken for relief: matching
+    What residuals share along the parallax beyond what they share square to it is taken for relief: matching
     errs alike on both axes (in units of its own sigma), relief moves points along the parallax only: lines
-    where bands look ahead, columns behind a mirror that scans across.
+    where bands look ahead, columns behind a mirror that scans across. Products of pairs are weighed by what
+    their errors leave of them, and so many as SURE of these lie between the two: at short lags the errors
+    alone look like mountains a kilometre high.
     """
     excess, weight = 0.0, 0.0
     for star, post in zip(stars, post_px, strict=True):
@@ -173,34 +191,57 @@ def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> float:
         way = np.nanmedian(by_height.reshape(-1, pairs, 2), axis=0)
         size = np.hypot(way[:, 0], way[:, 1])
         way = np.where(size[:, None] > 0.0, way / np.where(size > 0.0, size, 1.0)[:, None], [1.0, 0.0])
-        # px, and the error of a match that way
-        coefficient = np.hypot(star.by_height[..., 0], star.by_height[..., 1])
-        along = coefficient / np.maximum(np.hypot(by_height[..., 0], by_height[..., 1]), 1e-30)
+        # heights (1/m) in those units
+        gain = np.hypot(by_height[..., 0], by_height[..., 1])
         parallel = np.einsum("gka,ka->gk", left, way)
         square = np.einsum("gka,ka->gk", left, way[:, ::-1] * [-1.0, 1.0])
         for j in range(pairs):
             for k in range(j, pairs):
                 if pairs > 1 and j == k:
                     continue
-                products = parallel[:, j] * parallel[:, k], square[:, j] * square[:, k]
-                seen = np.isfinite(products[0] - products[1])
-                number = float(seen.sum())
-                if not number:
+                shared = parallel[:, j] * parallel[:, k]
+                errors = square[:, j] * square[:, k]
+                seen = np.isfinite(shared - errors)
+                height = float(np.nanmedian(gain[:, j] * gain[:, k]))
+                if seen.sum() < FEWEST_PRODUCTS or not height > 0.0:
                     continue
-                shared, errors = (float(np.mean(product[seen])) for product in products)
-                scale = float(np.nanmedian(along[:, j] * along[:, k]))
-                gain = float(np.nanmedian(coefficient[:, j] * coefficient[:, k]))
-                if gain > 0:
-                    excess += number * gain * (shared - errors) * scale
-                    weight += number * gain**2
-    return max(excess / weight, 0.0) if weight > 0 else 0.0
+                spread = OVERLAP * float(np.var(shared[seen] - errors[seen])) / float(seen.sum())
+                spread += (UNLIKE_AXES * float(np.mean(np.abs(errors[seen])))) ** 2
+                excess += height * float(np.mean(shared[seen] - errors[seen])) / spread
+                weight += height**2 / spread
+    if weight == 0.0:
+        return 0.0, math.inf
+    found, error = excess / weight, 1.0 / math.sqrt(weight)
+    return max(found - SURE * error, 0.0), max(found + SURE * error, 0.0)
 
 
-def relief_length(beside: float, sigma: float, half_width: float) -> float:
-    """Correlation length (m) of relief of `sigma` (m) of which rows have the variance `beside` (m^2) left."""
+def relief_lengths(
+    beside: tuple[float, float], sigma: float, half_width: float, along: float
+) -> tuple[float, float]:
+    """Correlation lengths (m) of mean height and slope of rows, where relief of `sigma` (m) hides most.
+
+    Parameters
+    ----------
+    beside : (2,)
+        m^2; between which the variance about mean and slope of its rows lies, see `row_scatter`.
+    sigma, half_width, along : float
+        m; of the relief, half of the swath, and how long the strip is.
+
+    Notes
+    -----
+    Any length between those that have this scatter explains what was seen. Of them each has that of the
+    steepest trend over the strip: shorter hills average out, longer ones lie flat within it.
+    """
     lengths = _lengths(sigma, half_width, 60)
-    shares = np.array([detrended_share(length, half_width) for length in lengths])
-    return float(lengths[int(np.argmin(np.abs(shares - beside / sigma**2)))])
+    shares = sigma**2 * np.array([detrended_share(length, half_width) for length in lengths])
+    longest, shortest = (lengths[int(np.argmin(np.abs(shares - one)))] for one in beside)
+    some = np.geomspace(shortest, longest, TRENDS)
+    rows = np.linspace(0.0, along, TREND_ROWS)
+    trend = np.linspace(-1.0, 1.0, TREND_ROWS)
+    lags = np.abs(np.subtract.outer(np.arange(TREND_ROWS), np.arange(TREND_ROWS)))
+    sizes = [[trend @ c[lags] @ trend for c in _row_covariances(one, half_width, rows)] for one in some]
+    mean, slope = some[np.argmax(sizes, axis=0)]
+    return float(mean), float(slope)
 
 
 def _lengths(sigma: float, half_width: float, number: int) -> Array:
