@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError, SpanError
@@ -232,6 +234,27 @@ class TestFrame:
         rays = camera.rays([[0.0, 0.0], [99.0, 0.0]])
         assert_allclose(rays.origins[:, 1], [0.0, 0.05 * SPEED], atol=1e-9)
 
+    def test_a_rolling_shutter_sees_a_point_by_the_line_that_looks_there_when_it_is_exposed(self):
+        """Each line is exposed by itself, as a frame of one instant; roots between lines by bisection."""
+        flight = FLIGHT.with_motion(Motion([-1.0, 2.0], [[-0.02, 0.03, -0.01], [0.04, -0.06, 0.02]]))
+        camera = self.frame(readout_time=0.05, distortion=(0.2, -0.1)).with_trajectory(flight)
+        pixels = np.array([[0.4, 3.0], [33.25, 150.0], [50.0, 99.5], [98.7, 199.0]])
+        points = camera.locate(pixels, Plane())
+        expected = []
+        for point in points:
+
+            def at(line, point=point):
+                still = replace(camera, t=0.05 * line / 99.0, readout_time=0.0)
+                return still.detector.pixels(
+                    (point - still.rays([[0.0, 0.0]]).origins)
+                    @ (flight.at([still.t]).world_from_body * NADIR_MOUNT).as_matrix()[0]
+                )[0]
+
+            line = brentq(lambda line, at=at: at(line)[0] - line, -20.0, 120.0, xtol=1e-12)
+            expected.append([line, at(line)[1]])
+        assert_allclose(camera.project(points), expected, rtol=0.0, atol=1e-6)
+        assert_allclose(expected, pixels, rtol=0.0, atol=1e-6)
+
     def test_a_trajectory_that_ends_during_readout_is_refused(self):
         with pytest.raises(SpanError, match=r"the trajectory is not known at t = 3\.000000 s"):
             self.frame(readout_time=3.0).rays([[0.0, 0.0]])
@@ -300,6 +323,18 @@ class TestTdiStages:
         assert_allclose(camera.project(camera.locate(self.PIXELS, Plane())), self.PIXELS, atol=1e-6)
         moved = camera.with_detector(DETECTOR.adjusted(0.5, 0.25))
         assert_allclose(moved.project(moved.locate(self.PIXELS, Plane())), self.PIXELS, atol=1e-6)
+
+    @pytest.mark.parametrize(
+        ("reference", "reach"),
+        [("centre", (16, 16)), ("first-stage", (0.5, 31.5)), ("last-stage", (31.5, 0.5))],
+    )
+    def test_stages_begin_and_end_where_the_first_and_the_last_of_all_columns_do(self, reference, reach):
+        """Stages are a period long about their middles: 32 of them and, of other columns, 4."""
+        counts = np.where(np.arange(1000) < 600, 4, 32)
+        camera = pushbroom(self.MOVING, stages=counts, time_reference=reference)
+        assert camera.reach == pytest.approx(np.array(reach) * PERIOD)
+        assert camera.rough_columns.tolist() == [599, 600]
+        assert camera.stage_times == pytest.approx((4 * PERIOD, 32 * PERIOD))
 
     def test_one_stage_is_no_tdi(self):
         camera = pushbroom(self.MOVING, stages=1)

@@ -49,6 +49,17 @@ def test_a_bent_row_is_interpolated_by_cubics():
     direction = detector.directions_at([place])[0]
     assert direction[1] / direction[2] == pytest.approx(1e-5 * (-1 + place / 50) ** 3, abs=1e-17)
     assert not detector.is_straight
+    assert detector.rough_columns.size == 0
+
+
+@pytest.mark.parametrize("step", [[0.3, 0.0], [0.0, 0.3]], ids=["along", "across"])
+def test_columns_are_rough_where_two_ccds_meet(step):
+    tangents = 5e-6 * np.stack([np.arange(101.0) - 50.0, 0.02 * np.arange(101.0)], axis=1)
+    tangents[40:] += 5e-6 * np.array(step)
+    looks = np.column_stack([tangents, np.ones(101)])
+    detector = LineDetector("two", looks / np.linalg.norm(looks, axis=1, keepdims=True), 1e-3)
+    # columns 39 and 40 depart from the run of those beside them
+    assert detector.rough_columns.tolist() == [39.0, 40.0]
 
 
 @pytest.mark.parametrize(

@@ -158,3 +158,13 @@ def test_elevations_are_those_of_the_closed_form(case):
     for places, found in zip(s2_scene.camera_places(shots=9, **case)[0], pair.elevations(t), strict=True):
         zenith = places[:, 2] / np.sqrt(places[:, 0] ** 2 + places[:, 1] ** 2 + places[:, 2] ** 2)
         np.testing.assert_allclose(np.sin(found), zenith, atol=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_cameras_converge_by_the_angle_between_their_lines_of_sight(case):
+    first, last = s2_scene.camera_places(shots=9, **case)[0]
+    cosine = (first * last).sum(axis=-1) / np.linalg.norm(first, axis=-1) / np.linalg.norm(last, axis=-1)
+    pair, t = pair_and_times(case)
+    # places to 0.1 m, some 500 km away
+    np.testing.assert_allclose(pair.convergence(t), np.arccos(cosine), atol=1e-6)
+    assert pair.convergence(t).min() > 0.1

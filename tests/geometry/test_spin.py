@@ -76,3 +76,13 @@ def test_impossible_spins_are_refused():
         Spin(Rotation.identity(), [0, 0, 1.0], RATE, rate_sigma=-1)
     with pytest.raises(InputError, match=r"the spin turns .* times .* check `rate`"):
         Spin(Rotation.identity(), [0, 0, 1.0], 1e6).trajectory([0.0, 9.0], np.zeros((2, 3)), (0.0, 9.0))
+
+
+def test_an_adjusted_spin_differs_by_what_its_departures_and_the_turn_of_its_body_say():
+    axis, t = np.array([0.48, -0.6, 0.64]), np.linspace(-0.3, 0.4, 9)
+    spin = Spin(Rotation.from_euler("ZYX", [0.4, 0.3, -0.2]), axis, RATE, world_rate=EARTH)
+    change = 1e-6 * np.array([2.0, -3.0, 1.5, 0.7, -1.1, 2.3])
+    found = (spin.at(t).inv() * spin.adjusted(change).at(t)).as_rotvec()
+    # the body is turned first, then it spins: in its axes of a later time the turn is R(-axis phi) times it
+    back = Rotation.from_rotvec(-RATE * t[:, None] * axis)
+    assert_allclose(found, spin.departures(t) @ change[:3] + back.apply(change[3:]), atol=1e-10)

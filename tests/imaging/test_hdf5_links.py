@@ -6,6 +6,7 @@ Files with such links are written here byte by byte after the format's specifica
 
 from __future__ import annotations
 
+import mmap
 import struct
 
 import numpy as np
@@ -14,7 +15,7 @@ import rasterio
 from rasterio.shutil import copy
 
 from sightline.errors import FormatError
-from sightline.imaging.hdf5_links import check_hdf5, hdf5_start
+from sightline.imaging.hdf5_links import _Bytes, _Walk, check_hdf5, hdf5_start
 from sightline.imaging.rasters import open_raster
 from sightline.io.formats.images import open_image
 
@@ -133,3 +134,73 @@ def test_a_driver_that_gdal_lacks_is_named(strip, monkeypatch):
     monkeypatch.setattr("rasterio.Env.drivers", lambda self: {"GTiff": "GeoTIFF"})
     with pytest.raises(FormatError, match="has no driver HDF5Image or HDF5; install rasterio with it"):
         open_image(f"HDF5:{strip[0]}://Band1")
+
+
+def walked(path):
+    """Links of the root and of what lies below, by what the walk found of them."""
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        walk = _Walk(_Bytes(path, content, hdf5_start(path)))
+        walk.check()
+        return {
+            walk.names[group]: {name: link.target for name, link in links.items()}
+            for group, links in walk.groups.items()
+        }
+
+
+def test_every_link_of_an_old_group_is_found_by_its_tree_and_its_heap(tmp_path):
+    """A tree of two levels over three nodes of symbols, as section III.A.1 and III.B draw them."""
+    names = {"": 0, "a": 8, "bee": 16, "c": 24, "g": 32, "/a": 40, "here": 48, "d": 56}
+    held = bytearray(64)
+    for name, at in names.items():
+        held[at : at + len(name)] = name.encode()
+
+    def symbols(*entries: tuple[str, int | str]) -> bytes:
+        out = struct.pack("<4sBBH", b"SNOD", 1, 0, len(entries))
+        for name, target in entries:
+            if isinstance(target, str):
+                out += struct.pack("<QQIII12x", names[name], 2**64 - 1, 2, 0, names[target])
+            else:
+                out += struct.pack("<QQII16x", names[name], target, 0, 0)
+        return out
+
+    def tree(level: int, *below: int) -> bytes:
+        out = struct.pack("<4sBBHQQ", b"TREE", 0, level, len(below), 2**64 - 1, 2**64 - 1)
+        return out + b"".join(struct.pack("<QQ", 0, at) for at in below) + bytes(8)
+
+    objects = {
+        ROOT: header(message(17, struct.pack("<QQ", 400, 700))),
+        400: tree(1, 500, 600),
+        500: tree(0, 900, 1100),
+        600: tree(0, 1300),
+        700: struct.pack("<4sB3xQQQ", b"HEAP", 0, 64, 2**64 - 1, 800),
+        800: bytes(held),
+        900: symbols(("a", DATA), ("bee", DATA + 64)),
+        1100: symbols(("c", "/a")),
+        1300: symbols(("d", DATA + 128), ("g", 1500)),
+        1500: header(message(17, struct.pack("<QQ", 1600, 700))),
+        1600: tree(0, 1700),
+        1700: symbols(("here", DATA)),
+        DATA: header(), DATA + 64: header(), DATA + 128: header(),
+    }  # fmt: skip
+    path = write(tmp_path / "old.h5", objects)
+    assert walked(path) == {
+        "/": {"a": DATA, "bee": DATA + 64, "c": "/a", "d": DATA + 128, "g": 1500},
+        "/g/": {"here": DATA},
+    }
+    # a name that was not there, in the last byte but one
+    names["/"] = 62
+    held[62:63] = b"/"
+    objects[800], objects[1700] = bytes(held), symbols(("here", "/"))
+    with pytest.raises(FormatError, match="linked to a second time, as /g/here"):
+        check_hdf5(write(tmp_path / "circle.h5", objects))
+
+
+def test_every_link_of_a_group_of_many_is_found_by_a_deep_tree_and_blocks_of_blocks(tmp_path):
+    """The library keeps 1,500 names in a tree of three levels and a heap of many blocks."""
+    count, plain = 1500, tmp_path / "plain.tif"
+    with rasterio.open(plain, "w", driver="GTiff", width=1, height=1, count=count, dtype="uint8") as held:
+        held.write(np.ones((count, 1, 1), dtype=np.uint8))
+    copy(plain, tmp_path / "many.nc", driver="netCDF", FORMAT="NC4")
+    links = walked(tmp_path / "many.nc")["/"]
+    assert {f"Band{k + 1}" for k in range(count)} <= set(links)
+    assert len(set(links.values())) == len(links)

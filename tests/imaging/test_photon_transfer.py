@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from sightline.imaging import photon_transfer
-from sightline.imaging.photon_transfer import measure_stack, with_noise_of
+from sightline.imaging.noise_estimation import Estimate
+from sightline.imaging.photon_transfer import (
+    compare_columns,
+    fit_transfer,
+    measure_stack,
+    same_exposure,
+    with_noise_of,
+)
 from sightline.imaging.source import ArrayImage
 
 
@@ -61,3 +69,75 @@ def test_the_sigma_of_a_column_is_the_scatter_of_its_means():
     stack = measure_stack(frames, [100.0] * 4, 0.0, 1e3, np.zeros(500, np.bool_))
     scatter = np.std(stack.columns())
     assert abs(scatter / stack.column_sigma() - 1.0) < 4.0 / np.sqrt(2.0 * 500)
+
+
+def test_a_law_through_exposures_weighs_them_by_their_noise_and_by_what_that_does_not_explain():
+    """Weighted least squares written out; the misfit is the root of chi-square less the freedom."""
+    signals = np.array([100.0, 250.0, 400.0, 800.0])
+    law = np.array([0.3, 16.0])
+    off = np.array([4.0, -9.0, 12.0, -20.0])
+    noise = [
+        Estimate(float(v), s)
+        for v, s in zip(signals * law[0] + law[1] + off, (1.0, 2.0, 1.5, 4.0), strict=True)
+    ]
+    resting = Estimate(15.0, 0.8)
+    sigma = np.array([one.sigma for one in (*noise, resting)])
+    values, rows = np.array([one.value for one in (*noise, resting)]), np.ones((5, 2))
+    rows[:, 0] = [*signals, 0.0]
+
+    def solved(misfit):
+        spread = np.sqrt(sigma**2 + misfit**2 * rows[:, 0] ** 2)
+        found, (left,) = np.linalg.lstsq(rows / spread[:, None], values / spread, rcond=None)[:2]
+        return found, left, spread
+
+    found = fit_transfer(signals, noise, resting)
+    misfit = brentq(lambda m: solved(m)[1] - 3.0, 1e-6, 1.0)
+    expected, _, spread = solved(misfit)
+    assert found.misfit == pytest.approx(misfit, rel=1e-6)
+    np.testing.assert_allclose(found.fit.coefficients, expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        found.fit.covariance, np.linalg.inv((rows / spread[:, None] ** 2).T @ rows), rtol=1e-5
+    )
+    weights = signals / spread[:4] ** 2
+    np.testing.assert_allclose(found.weights, weights / (weights @ signals), rtol=1e-5)
+    # values that go with the law to their sigma show no misfit
+    even = [Estimate(float(v), one.sigma) for v, one in zip(signals * law[0] + law[1], noise, strict=True)]
+    exact = fit_transfer(signals, even, Estimate(law[1], 0.8))
+    assert exact.misfit == 0.0
+    np.testing.assert_allclose(exact.fit.coefficients, law, rtol=1e-9)
+    # one exposure and nothing else has a slope alone
+    alone = fit_transfer(signals[:1], noise[:1], None)
+    np.testing.assert_allclose(alone.fit.coefficients, [noise[0].value / 100.0])
+
+
+def test_columns_are_alike_where_they_differ_by_their_sigma_and_the_rest_is_told():
+    rng = np.random.default_rng(6)
+    sigma = rng.uniform(0.5, 2.0, 400)
+    values = 5.0 + sigma * rng.standard_normal(400)
+    values[7] = np.nan
+    found = compare_columns(values, sigma)
+    good = np.isfinite(values)
+    mean = np.average(values[good], weights=sigma[good] ** -2)
+    assert found.chi_square == pytest.approx((((values - mean) / sigma)[good] ** 2).sum())
+    assert found.freedom == 398 and found.alike
+    # what single columns add, of one sigma each: 1.5, to a tenth, with a limit some tenths above
+    rest = [compare_columns(rng.standard_normal(200) * np.hypot(1.0, 1.5), 1.0) for _ in range(40)]
+    assert not any(one.alike for one in rest)
+    assert np.mean([one.scatter for one in rest]) == pytest.approx(1.5, rel=0.05)
+    # 2 sigma on one side: 39 of 40, in the mean
+    assert 35 <= sum(one.upper > 1.5 for one in rest)
+    assert np.mean([one.upper for one in rest]) < 1.5 * 1.3
+    two = compare_columns(np.array([1.0, 7.0]), 3.0, free=2)
+    # one degree of freedom at least: chi-square is 2 of 1, the mean variance of a column 9
+    assert (two.freedom, two.scatter) == (1, pytest.approx(3.0))
+    assert two.upper == pytest.approx(3.0 * np.sqrt(1.0 + 2.0 * np.sqrt(2.0) * 2.0))
+    # chi-square of one degree has the sigma sqrt(2): three of it are reached 3.24 sigma apart
+    assert [compare_columns(np.array([0.0, d]), 1.0).alike for d in (3.2, 3.3)] == [True, False]
+
+
+def test_exposures_are_parted_where_means_are_further_apart_than_the_tolerance():
+    means = np.array([50.0, 10.0, 51.0, 10.4, 53.5, 90.0])
+    tolerance = np.array([2.0, 0.1, 2.0, 0.5, 2.6, 5.0])
+    # the larger tolerance of two neighbours counts
+    assert same_exposure(means, tolerance) == [[1, 3], [0, 2, 4], [5]]
+    assert same_exposure(means, np.full(6, 0.3)) == [[1], [3], [0], [2], [4], [5]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.imaging.reduce import ReducedImage, pattern_means
+from sightline.imaging.reduce import ReducedImage, pattern_means, reduced_pixels, whole_pixels
 from sightline.imaging.source import ArrayImage
 
 
@@ -61,3 +61,15 @@ def test_blocks_may_be_wider_than_high():
     assert np.allclose(image.read((1, 3), (2, 5)), expected, atol=1e-6)
     with pytest.raises(InputError, match="factor"):
         ReducedImage(ArrayImage(pixels), (8, 5))
+
+
+@pytest.mark.parametrize("factor", [1, 2, 5])
+def test_places_of_means_are_those_of_the_middles_of_their_blocks(factor):
+    """A plane's mean over a block is the plane at its middle."""
+    line, column = np.mgrid[0.0:20.0, 0.0:30.0]
+    means = ReducedImage(ArrayImage(3.0 * line + 7.0 * column), factor)
+    pixels = np.array([[0.0, 0.0], [2.0, 4.0], [3.0, 1.0]])
+    whole = whole_pixels(pixels, factor)
+    read = means.read((0, 4), (0, 5))
+    assert np.allclose(whole @ [3.0, 7.0], read[tuple(pixels.astype(int).T)], rtol=1e-6)
+    assert np.allclose(reduced_pixels(whole, factor), pixels, atol=1e-12)

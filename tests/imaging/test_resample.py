@@ -1,8 +1,16 @@
 """The interpolation kernel shared by matching, products and simulation."""
 
 import numpy as np
+from scipy.integrate import quad
 
-from sightline.imaging.resample import PHASES, TAPS, delay_weights, kernel_table, sample
+from sightline.imaging.resample import (
+    PHASES,
+    TAPS,
+    delay_weights,
+    kernel_table,
+    natural_correlation,
+    sample,
+)
 
 
 def response(fractions, f):
@@ -49,3 +57,25 @@ def test_sampling_equals_the_plain_double_sum_and_is_nan_beyond_the_border():
     # float32 sums of 64 products of order 1
     assert np.abs(sample(image, positions) - expected).max() < 1e-4
     assert np.isnan(sample(image, np.array([[1.0, 20.0], [27.0, 20.0], [20.0, 38.0], [np.nan, 3.0]]))).all()
+
+
+def test_natural_ground_is_alike_over_a_distance_as_the_integral_of_its_spectrum_says():
+    band, lags = 0.4, np.array([[0.0, 0.5, 1.0], [7.0, -20.0, 60.0]])
+
+    def integral(lag):
+        return quad(lambda f: np.cos(2 * np.pi * f * lag) / (f + 0.005) ** 2, 0.0, band, limit=500)[0]
+
+    expected = np.vectorize(integral)(lags) / integral(0.0)
+    np.testing.assert_allclose(natural_correlation(band, 400)(lags), expected, atol=1e-7)
+
+
+def test_weights_for_natural_ground_keep_its_long_waves_best():
+    """Of 16 taps: the error of waves weighed by 1 / f^2 is below that of weights for a flat spectrum."""
+    k, f = np.arange(16) - 7.0, np.linspace(0.01, 0.3, 60)
+    wave = np.exp(2j * np.pi * np.outer(k, f))
+    errors = []
+    for natural in (True, False):
+        weights = delay_weights(np.array([0.3]), 16, 0.45, natural=natural)[0]
+        assert abs(weights.sum() - 1.0) < 1e-12
+        errors.append(np.abs(weights @ wave - np.exp(2j * np.pi * 0.3 * f)) ** 2 @ (f + 0.005) ** -2.0)
+    assert errors[0] < 0.1 * errors[1]

@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.source import ArrayImage
+from sightline.matching import follow
 from sightline.matching.follow import Followed, FollowPlan, fit_motion, follow_windows, move
 
 SHAPE = (160, 170)
@@ -128,3 +129,19 @@ def test_what_cannot_be_followed_is_refused():
     for wrong in ({"window": 20}, {"points": 5}, {"reduction": 0}, {"life": 1.5}, {"min_score": 0.0}):
         with pytest.raises(InputError):
             FollowPlan(**wrong)
+
+
+def test_frames_are_followed_the_same_from_any_state_that_was_kept(monkeypatch):
+    monkeypatch.setattr(follow, "_KEPT", 4)
+    moved, scene = shifts(11), texture(5)
+    frames: list[ArrayImage | None] = [frame(scene, s, k) for k, s in enumerate(moved)]
+    frames[7] = frame(texture(98), moved[7], 7)  # waits for a frame that is like it
+    states: list[follow.FollowState] = []
+    whole = follow_windows(frames, PLAN, keep=states.append)
+    assert [state.number for state in states] == [4, 8]
+    assert states[1].waiting == 7
+    for count in (1, 2):
+        again = follow_windows(frames, PLAN, states=states[:count])
+        for name in ("image", "point", "pixels", "sigma_px", "before", "motion", "windows", "sharpness"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(whole, name), err_msg=name)
+        assert again.reason == whole.reason

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sightline.matching.patches import group_windows
+from sightline.matching.patches import _box, group_windows
 
 WINDOW = (4, 100)
 
@@ -58,3 +58,17 @@ def test_the_boxes_of_groups_are_small_in_both_images(turned):
         for p in points:
             corners = np.concatenate([p[group] - np.array(size) / 2, p[group] + np.array(size) / 2])
             assert len(group) == 1 or np.ptp(corners, axis=0).prod() < most
+
+
+@pytest.mark.parametrize("size", [(4, 7), (5, 10)])
+def test_a_box_holds_every_pixel_of_its_windows_and_its_margin(size):
+    points = np.array([[10.2, 40.0], [13.7, 31.6], [11.0, 55.3]])
+    margin = np.array([3, 5])
+    pixels = [
+        p + np.array([i, j]) - 0.5 * (np.array(size) - 1)
+        for p in points for i in range(size[0]) for j in range(size[1])
+    ]  # fmt: skip
+    box = _box(points, size, margin)
+    # whole pixels on either side of every place
+    np.testing.assert_array_equal(box[:, 0], np.floor(np.min(pixels, axis=0)) - margin)
+    np.testing.assert_array_equal(box[:, 1], np.ceil(np.max(pixels, axis=0)) + 1 + margin)

@@ -7,7 +7,14 @@ from matching.fourier_textures import shifted_pair
 from sightline.errors import InputError
 from sightline.imaging.source import ArrayImage
 from sightline.matching.select import grid_points
-from sightline.matching.whitening import _EDGE, Whitening, _smooth_log, _tiles, estimate_whitening
+from sightline.matching.whitening import (
+    _EDGE,
+    Whitening,
+    _phase_shift,
+    _smooth_log,
+    _tiles,
+    estimate_whitening,
+)
 
 SHAPE = (384, 512)
 
@@ -101,3 +108,15 @@ def test_a_smooth_spectrum_is_known_beyond_where_it_was_measured():
     wanted = spectrum(*np.meshgrid(np.fft.fftfreq(64), np.fft.rfftfreq(64), indexing="ij"))
     # what singular values below 1e-8 of the largest would have told
     np.testing.assert_allclose(found, wanted, rtol=1e-4)
+
+
+def test_the_phase_of_a_texture_that_runs_aslant_tells_both_its_shifts():
+    """Spectra in closed form; the two shifts go together where only frequencies along a diagonal are seen."""
+    tile = (16, 64)
+    fy, fx = np.meshgrid(np.fft.fftfreq(tile[0]), np.fft.rfftfreq(tile[1]), indexing="ij")
+    power = np.exp(-(((fy - fx) / 0.1) ** 2)) + 1e-3
+    shift = np.array([[0.4, -0.3], [-0.9, 0.7], [0.0, 0.45]])
+    turns = fy[None] * shift[:, :1, None] + fx[None] * shift[:, 1:, None]
+    found = _phase_shift(power * np.exp(-2j * np.pi * turns), power, tile)
+    # Newton steps that settle
+    np.testing.assert_allclose(found, shift, atol=1e-6)
