@@ -142,17 +142,21 @@ def test_every_place_has_its_brightness_from_the_frame_that_shows_it_best(views,
 
 def test_tiles_ask_for_no_more_of_frames_than_may_show_them(views, outline):
     maker = maker_of(views, outline)
-    tile = MapTile(10, 20, 30, 40)
-    assert [frame for frame, _ in maker.frames_of(tile, unread={0})] == [1, 2, 3]
+    assert [frame for frame, _ in maker.frames_of(MapTile(10, 20, 30, 40), unread={0})] == [1, 2, 3]
     room = 2.0 * 0.5 + 0.02 * np.ptp(outline, axis=1).max()
-    for frame, box in maker.frames_of(tile):
-        (west, south), (east, north) = outline[frame].min(axis=0) - room, outline[frame].max(axis=0) + room
-        for low, high, size, first, last in (
-            (box[0], box[1], 30, maker.grid.north - 0.5 * 10 - north, maker.grid.north - 0.5 * 10 - south),
-            (box[2], box[3], 40, west - maker.grid.west - 0.5 * 20, east - maker.grid.west - 0.5 * 20),
-        ):
-            assert low == np.clip(np.floor(first / 0.5), 0, size)
-            assert high == np.clip(np.ceil(last / 0.5), 0, size)
+    for tile in (MapTile(10, 20, 30, 40), MapTile(-30, -40, 400, 300)):
+        for frame, box in maker.frames_of(tile):
+            (west, south), (east, north) = (
+                outline[frame].min(axis=0) - room,
+                outline[frame].max(axis=0) + room,
+            )
+            left, top = maker.grid.west + 0.5 * tile.column, maker.grid.north - 0.5 * tile.row
+            for low, high, size, first, last in (
+                (box[0], box[1], tile.rows, top - north, top - south),
+                (box[2], box[3], tile.columns, west - left, east - left),
+            ):
+                assert low == np.clip(np.floor(first / 0.5), 0, size)
+                assert high == np.clip(np.ceil(last / 0.5), 0, size)
     assert maker.frames_of(MapTile(10_000, 0, 8, 8)) == []
 
 
@@ -174,6 +178,7 @@ def test_tiles_cover_a_map_once_and_fit_the_memory(bands):
         # a float32 of each band, a cost, a view, two flags and an order of each group
         bytes_of = tile.rows * tile.columns * bands * (4 + 4 + 4 + 2 + 4)
         assert bytes_of < 48 * 2**20 and tile.rows <= 512
+        assert tile.row + tile.rows <= 1100 and tile.column + tile.columns <= 700
     assert (count == 1).all()
     assert tiles_of(grid, layout)[0].rows == (
         512 if bands == 3 else 64 * int(np.sqrt(48 * 2**20 / 3632) / 64)

@@ -143,10 +143,11 @@ class TestWindows:
         checked(narrow, RecoverOptions(first_window=(10, 20), window=(4, 20)))
 
     def test_features_outside_every_image_are_refused(self, strip):
-        features = {0: np.array([[500.0, 10.0], [10.0, -3.0]])}
-        said = refused(strip, RecoverOptions(selection=Selection("listed", features=features)))
-        assert said.startswith("`features` of [matching]: every listed feature lies outside its image")
-        features[1] = np.array([[20.0, 30.0]])
+        for outside in ([[500.0, 10.0], [10.0, -3.0]], [[10.0, -3.0], [400.0, 220.0]], [[401.0, 5.0]]):
+            features = {0: np.array(outside)}
+            said = refused(strip, RecoverOptions(selection=Selection("listed", features=features)))
+            assert said.startswith("`features` of [matching]: every listed feature lies outside its image")
+        features[1] = np.array([[500.0, 300.0], [400.45, 219.45]])
         checked(strip, RecoverOptions(selection=Selection("listed", features=features)))
 
 
