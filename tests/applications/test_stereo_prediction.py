@@ -19,13 +19,8 @@ from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.pair.settings import (
     StereoPlan,
-    moved,
     pixels_of_places,
     setting_of_plan,
-    with_control,
-    with_points,
-    with_shots,
-    with_window,
 )
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.simulate.stereo import stereo_case
@@ -91,35 +86,6 @@ def test_points_are_laid_out_where_no_matches_are_named():
     np.testing.assert_allclose(found.sigmas, planned.sigmas, rtol=0.25)
 
 
-def test_moved_images_are_those_of_other_plans():
-    base = setting_of_plan(plan())
-    pair = base.images
-    # a window of 40 s in place of 64: on the cubic through the positions, to parts of a metre
-    short = with_window(base, 40.0 / 64.0).images
-    made = setting_of_plan(plan(window=40.0)).images
-    np.testing.assert_allclose(short.position, made.position, atol=5.0)
-    turned = (short.world_from_body.inv() * made.world_from_body).magnitude()
-    assert turned.max() < 1e-4
-    # twice the window: beyond the positions, where the cubic leaves a circle by 4th order
-    long, made = with_window(base, 2.0).images, setting_of_plan(plan(window=128.0)).images
-    arc = 64.0 * 2.0 * np.pi / 5677.0
-    np.testing.assert_allclose(long.position, made.position, atol=6871e3 * arc**4)
-    # more shots of the same window
-    more, made = with_shots(base, 32).images, setting_of_plan(plan(shots=32)).images
-    order = np.lexsort((more.shot, more.camera))
-    np.testing.assert_allclose(more.t[order], made.t, atol=1e-9)
-    np.testing.assert_allclose(more.position[order], made.position, atol=5.0)
-    # further apart, still looking at the middle
-    apart = moved(base, pair.t, 1.5)
-    assert apart.baseline == pytest.approx(1.5 * base.baseline)
-    middle = base.places.mean(axis=0)
-    for setting in (base, apart):
-        seen = pixels_of_places(
-            setting.images, setting.detectors, setting.mounts, np.arange(32), np.tile(middle, (32, 1))
-        )
-        assert np.abs(seen - 349.5).max() < 25.0
-
-
 def test_tables_of_a_problem_are_those_of_its_plan():
     of_plan = {table.quantity: table for table in predict_plan(plan()).tables}
     of_problem = {table.quantity: table for table in predict(problem(plan())).tables}
@@ -171,18 +137,6 @@ def test_angles_of_one_shot_are_not_observable_until_there_is_control():
     assert np.isfinite(control.sigmas).all()
     assert np.array_equal(control.ratio == 0.0, touched.ravel())
     assert not any("window" in c.change for c in predict(problem(plan(shots=1)), tables=False).improvements)
-
-
-def test_points_are_thinned_and_repeated_and_control_is_kept():
-    base = with_control(setting_of_plan(plan()), 5, 1.0)
-    for count in (20, 60, 150):
-        fewer = with_points(base, count)
-        assert len(fewer.places) == count and len(np.unique(fewer.point)) == count
-        np.testing.assert_array_equal(fewer.places[fewer.control.point], fewer.control.position)
-        assert len(fewer.image) == 32 * count
-    more = with_control(base, 2, 3.0)
-    assert len(np.unique(more.control.point)) == 7
-    np.testing.assert_array_equal(more.control.sigma, [1.0] * 5 + [3.0] * 2)
 
 
 def test_what_cannot_be_planned_is_refused():
