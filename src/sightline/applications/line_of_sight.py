@@ -11,6 +11,7 @@ Not here: the strip itself (``motion/strip/strip.py``), the estimate of one pass
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import EstimationError, computes
+from sightline.errors import EstimationError, InputError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.estimation.search import CLOSELY, SETTLED
 from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
@@ -190,7 +191,7 @@ def recover_line_of_sight(
     Raises
     ------
     InputError
-        One band without control points, or images that do not fit their cameras.
+        One band without control points, images that do not fit their cameras, or no sigma of heights.
     EstimationError
         The images have no ground in common, or cannot be matched; too few control points of one band.
 
@@ -202,6 +203,8 @@ def recover_line_of_sight(
     what its control points say, and between them what their spectrum lets believe
     (``motion/strip/control_only.py``): the height's sigma has no part in it.
     """
+    if not 0.0 <= height_sigma < math.inf:
+        raise InputError(f"`height_sigma` must be a number of metres, 0 (known) or more, got {height_sigma}")
     options = options or RecoverOptions()
     tell = progress or silent
     strip, options = ready_strip(bands, surface, sensors, control_points, known, options)
