@@ -156,6 +156,8 @@ def test_bad_frames_are_refused_before_any_work():
         recover_frame_attitude(frames[:1], Plane())
     with pytest.raises(InputError, match="sort them"):
         recover_frame_attitude(frames[::-1], Plane())
+    with pytest.raises(InputError, match="`height_sigma` must be 0 or more"):
+        recover_frame_attitude(frames, Plane(), height_sigma=-1.0)
     small = replace(frames[1], image=ArrayImage(np.zeros((10, 12))))
     with pytest.raises(InputError, match="give the camera the size of its image"):
         recover_frame_attitude([frames[0], small], Plane())

@@ -65,7 +65,7 @@ class TestRefused:
 
     @pytest.mark.parametrize("sigma", [-1.0, np.nan, np.inf])
     def test_what_is_no_sigma_of_heights(self, sigma):
-        with pytest.raises(InputError, match=f"`height_sigma` must be a number of metres.* got {sigma}"):
+        with pytest.raises(InputError, match=rf"`height_sigma` must be 0 or more \(m\), got {sigma}"):
             recover_line_of_sight(bands(), Plane(), height_sigma=sigma)
 
     def test_an_image_of_another_size_than_its_camera_is_named(self):

@@ -172,6 +172,8 @@ def test_sigma_separates_rate_and_focal_length(case):
 
 def test_bad_frames_are_refused_before_any_work(frames):
     spin = nominal_spin()
+    with pytest.raises(InputError, match="`parallax_sigma` must be 0 or more"):
+        recover_spin_attitude(frames[:3], Infinity(), spin, parallax_sigma=np.nan)
     with pytest.raises(InputError, match="one exposure cannot show motion"):
         recover_spin_attitude(frames[:3], Infinity(), spin)
     with pytest.raises(InputError, match="numbered 0, 1, 2"):

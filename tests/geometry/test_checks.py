@@ -13,6 +13,7 @@ from sightline.geometry.checks import (
     as_vector,
     finite,
     frozen,
+    not_negative,
     positive,
     read_only,
     same_length,
@@ -79,6 +80,10 @@ def test_scalars_and_lengths_are_checked():
     assert positive(2, "x") == 2.0 and finite(-1.0, "x") == -1.0
     with pytest.raises(InputError, match=r"`line_period` must be positive \(s\), got 0"):
         positive(0.0, "line_period", "s")
+    assert not_negative(0, "x") == 0.0
+    for wrong in (-1e-9, np.nan, np.inf):
+        with pytest.raises(InputError, match=rf"`sigma` must be 0 or more \(m\), got {wrong}"):
+            not_negative(wrong, "sigma", "m")
     with pytest.raises(InputError, match=r"`height` must be finite \(m\), got nan"):
         finite(np.nan, "height", "m")
     with pytest.raises(InputError, match="`axis` must be 3 finite numbers"):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError, computes
 from sightline.execution import Progress, one_blas_thread, silent, steps_of
+from sightline.geometry.checks import not_negative
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -172,6 +173,7 @@ def _prepare(
     frames: Sequence[Frame], surface: Surface, lens: LensKnowledge, height_sigma: float, options: FrameOptions
 ) -> FramePasses:
     """Check the input and list what is unknown besides the angles."""
+    not_negative(height_sigma, "height_sigma", "m")
     if len(frames) < 2:
         raise InputError(
             f"one frame cannot show motion: {len(frames)} given; two or more that see the same ground are "

@@ -11,7 +11,6 @@ Not here: the strip itself (``motion/strip/strip.py``), the estimate of one pass
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,11 +19,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import EstimationError, InputError, computes
+from sightline.errors import EstimationError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.estimation.search import CLOSELY, SETTLED
 from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
 from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.checks import not_negative
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.rasters import CACHE_MIB, raster_cache
@@ -203,8 +203,7 @@ def recover_line_of_sight(
     what its control points say, and between them what their spectrum lets believe
     (``motion/strip/control_only.py``): the height's sigma has no part in it.
     """
-    if not 0.0 <= height_sigma < math.inf:
-        raise InputError(f"`height_sigma` must be a number of metres, 0 (known) or more, got {height_sigma}")
+    not_negative(height_sigma, "height_sigma", "m")
     options = options or RecoverOptions()
     tell = progress or silent
     strip, options = ready_strip(bands, surface, sensors, control_points, known, options)

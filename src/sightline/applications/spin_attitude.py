@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import Progress, one_blas_thread, silent, steps_of
+from sightline.geometry.checks import not_negative
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -218,6 +219,7 @@ def _prepare(
     parallax_sigma: float,
 ) -> SpinUnknowns:
     """Check the input and list what is unknown."""
+    not_negative(parallax_sigma, "parallax_sigma", "rad/s")
     exposures = {frame.exposure: frame.camera.t for frame in frames}
     if len(exposures) < 2:
         raise InputError(

@@ -164,3 +164,10 @@ def finite(value: float, name: str, unit: str = "") -> float:
     if not np.isfinite(value):
         raise InputError(f"`{name}` must be finite{' (' + unit + ')' if unit else ''}, got {value}")
     return float(value)
+
+
+def not_negative(value: float, name: str, unit: str = "") -> float:
+    """`value` as a float, if finite and >= 0. Raises InputError otherwise."""
+    if not (np.isfinite(value) and value >= 0):
+        raise InputError(f"`{name}` must be 0 or more{' (' + unit + ')' if unit else ''}, got {value}")
+    return float(value)

@@ -46,23 +46,20 @@ def test_terrain_is_a_matern_field_of_order_three_halves():
     assert_allclose(terrain_covariance(r, LENGTH), matern32(r), rtol=1e-7)
 
 
-def test_rows_have_the_mean_and_slope_of_a_dense_field():
-    # a drawn field: 9 rows 100 m apart, 41 points across each; its exact functionals by least squares
-    rows, points, step = 9, 41, 100.0
+def test_rows_have_the_mean_and_slope_of_dense_fields():
+    """Drawn fields of two lengths: 9 rows 100 m apart, 41 points each; functionals by least squares."""
+    rows, points, step, draws = 9, 41, 100.0, 3000
     x = np.linspace(-1.0, 1.0, points)
     y, across = np.meshgrid(step * np.arange(rows), HALF_WIDTH * x, indexing="ij")
     place = np.stack([y.ravel(), across.ravel()], axis=1)
     distance = np.linalg.norm(place[:, None] - place[None, :], axis=2)
-    factor = np.linalg.cholesky(HEIGHT**2 * matern32(distance) + 1e-6 * np.eye(len(place)))
-    draws = 3000
-    field = factor @ np.random.default_rng(0).standard_normal((len(place), draws))
-    each_row = field.reshape(rows, points, draws).transpose(1, 0, 2).reshape(points, -1)
-    line = np.polynomial.polynomial.polyfit(x, each_row, 1).reshape(2, rows, draws)
-
-    grid = TimeGrid(0.0, step / SPEED, 60)
-    for process, values in zip(
-        row_processes(HEIGHT, (LENGTH, LENGTH), HALF_WIDTH, SPEED, grid), line, strict=True
-    ):
+    lengths = (LENGTH, 0.5 * LENGTH)
+    processes = row_processes(HEIGHT, lengths, HALF_WIDTH, SPEED, TimeGrid(0.0, step / SPEED, 60))
+    for kind, (process, length) in enumerate(zip(processes, lengths, strict=True)):
+        factor = np.linalg.cholesky(HEIGHT**2 * matern32(distance, length) + 1e-6 * np.eye(len(place)))
+        field = factor @ np.random.default_rng(0).standard_normal((len(place), draws))
+        each_row = field.reshape(rows, points, draws).transpose(1, 0, 2).reshape(points, -1)
+        values = np.polynomial.polynomial.polyfit(x, each_row, 1).reshape(2, rows, draws)[kind]
         got = dense_covariance(process)[20, 20 : 20 + rows]
         want = values @ values[0] / draws
         # a product of two correlated variables of that variance scatters by at most sqrt(2 / draws) = 2.6 %
@@ -138,6 +135,51 @@ def test_without_relief_in_the_residuals_its_length_is_the_longest_that_is_belie
     assert relief_lengths(beside, HEIGHT, HEIGHT, ALONG) == pytest.approx(2 * (10.0 * HEIGHT,))
 
 
+@pytest.mark.parametrize("hills", [True, False], ids=["hills", "flat"])
+def test_the_variance_about_rows_lies_between_its_bounds(hills):
+    """Five pairs, the hub between its partners; rows 50 m apart see one hill; lines err more by a tenth."""
+    rows, blocks, sigma = 80, 9, 0.05
+    by_height = np.array([-0.012, 0.02, -0.02, 0.03, -0.016])
+    star = plain_star(rows, blocks, len(by_height), sigma)
+    table = np.zeros((*star.t.shape, 2), np.float32)
+    table[..., 0] = by_height
+    seen = replace(star, by_height=table)
+    x = np.linspace(-0.9, 0.9, blocks)
+    place = np.stack(np.meshgrid(50.0 * np.arange(rows), HALF_WIDTH * x, indexing="ij"), axis=-1).reshape(
+        -1, 2
+    )
+    k = HEIGHT**2 * matern32(np.linalg.norm(place[:, None] - place[None, :], axis=2))
+    factor = np.linalg.cholesky(k + 1e-6 * np.eye(len(k)))
+    left = np.eye(blocks) - np.vander(x, 2) @ np.linalg.pinv(np.vander(x, 2))
+    # degrees of freedom that a row keeps are not given back: nor are they to residuals
+    truth = np.trace(left @ k[:blocks, :blocks] @ left) / blocks if hills else 0.0
+    rng, inside = np.random.default_rng(8), 0
+    for _ in range(40):
+        shared = rng.standard_normal((len(k), 1, 2))
+        post = sigma / np.sqrt(2) * (shared + rng.standard_normal((len(k), len(by_height), 2)))
+        post[..., 0] *= 1.1
+        if hills:
+            post[..., 0] += (factor @ rng.standard_normal(len(k)))[:, None] * by_height
+        least, most = row_scatter([seen], [post])
+        inside += least <= truth <= most
+    # two standard deviations: 38 of 40, four in five of them where hills are longer than rows that are taken
+    # as alike; less three standard deviations of so many draws. Pairs taken as independent: 1 of 40
+    assert inside >= 24
+
+
+def test_residuals_without_a_scatter_of_relief_leave_it_open():
+    star = plain_star(40, 6, 2, 0.05)
+    table = np.zeros((*star.t.shape, 2), np.float32)
+    table[..., 0] = -0.02
+    seen, nothing = replace(star, by_height=table), np.zeros((*star.t.shape, 2))
+    # no parallax; no residuals; no windows that two pairs share
+    assert row_scatter([star], [nothing + 0.01]) == (0.0, np.inf)
+    assert row_scatter([seen], [nothing]) == (0.0, np.inf)
+    apart = 0.05 * np.random.default_rng(3).standard_normal(nothing.shape)
+    apart[: len(apart) // 2, 0] = apart[len(apart) // 2 :, 1] = np.nan
+    assert row_scatter([seen], [apart]) == (0.0, np.inf)
+
+
 def test_at_lags_so_short_that_relief_is_lost_in_errors_any_length_may_be_and_each_hides_what_it_can():
     """Errors of matches, alike on both axes but for chance, look like hills: they tell nothing."""
     star = plain_star(60, 6, 2, 0.03)
@@ -147,7 +189,7 @@ def test_at_lags_so_short_that_relief_is_lost_in_errors_any_length_may_be_and_ea
     for _ in range(20):
         post = 0.03 * (rng.standard_normal((len(star.t), 1, 2)) + rng.standard_normal((len(star.t), 2, 2)))
         beside = row_scatter([replace(star, by_height=table)], [post])
-        # 0.03^2 px^2 / sqrt(360) over 2e-5 * 1.3e-4 px^2/m^2 is (140 m)^2: two of these on both sides
+        # 0.03^2 px^2 / sqrt(360) over 2e-5 * 1.3e-4 px^2/m^2 is (140 m)^2: two of these and more
         assert beside[0] < HEIGHT**2 < 140.0**2 < beside[1]
         # of all lengths the mean of rows has the longest over ten swaths, the slope one of about half a swath
         of_mean, of_slope = relief_lengths(beside, HEIGHT, HALF_WIDTH, ALONG)
@@ -155,24 +197,40 @@ def test_at_lags_so_short_that_relief_is_lost_in_errors_any_length_may_be_and_ea
         assert 0.6 * HALF_WIDTH < of_slope < 1.2 * HALF_WIDTH
 
 
-@pytest.mark.parametrize("along", [1500.0, ALONG])
-def test_of_all_lengths_each_has_that_of_the_steepest_trend(along):
-    """Trends of rows by least squares through the dense covariance of a field of 21 x 31 points."""
+@pytest.mark.parametrize("along", [300.0, 1500.0, ALONG])
+def test_of_all_lengths_each_has_that_which_hides_most(along):
+    """Trend of the mean and mean of the slope by least squares in the dense covariance of 21 x 31 points."""
     x, y = np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 31)
     place = np.stack([v.ravel() for v in np.meshgrid(0.5 * along * y, HALF_WIDTH * x, indexing="ij")], axis=1)
     distance = np.linalg.norm(place[:, None] - place[None, :], axis=2)
-    # coefficient of each of 1, x, y, xy: those that grow with y are trends of the mean and of the slope
+    # coefficients of y and of x, that is of yx^0 and y^0x
     design = np.stack([np.kron(one, two) for one in (y**0, y) for two in (x**0, x)], axis=1)
-    fit = np.linalg.pinv(design)[2:]
+    fit = np.linalg.pinv(design)[[2, 1]]
 
-    def trends(length: float) -> np.ndarray:
+    def hidden(length: float) -> np.ndarray:
         return np.sqrt(np.einsum("ij,jk,ik->i", fit, matern32(distance, length), fit))
 
     chosen = relief_lengths((0.0, np.inf), HEIGHT, HALF_WIDTH, along)
     lengths = np.geomspace(50.0, 2.0 * HALF_WIDTH, 25)
-    most = np.max([trends(length) for length in lengths], axis=0)
+    most = np.max([hidden(length) for length in lengths], axis=0)
     # flat about the largest, between which lengths step by a third: within 2 %
-    assert_allclose([trends(length)[k] for k, length in enumerate(chosen)], most, rtol=0.02)
+    assert_allclose([hidden(length)[k] for k, length in enumerate(chosen)], most, rtol=0.02)
+
+
+def test_a_strip_far_longer_than_its_hills_is_taken_as_one_of_ten_of_them():
+    lengths = [relief_lengths((0.0, np.inf), HEIGHT, HALF_WIDTH, along) for along in (ALONG, 40 * ALONG)]
+    assert lengths[0] == lengths[1]
+
+
+def test_scatter_that_no_length_explains_tells_none():
+    any_length = relief_lengths((0.0, np.inf), HEIGHT, HALF_WIDTH, ALONG)
+    # more than all of its variance, and less than nothing
+    assert relief_lengths((1.1 * HEIGHT**2, 9.0 * HEIGHT**2), HEIGHT, HALF_WIDTH, ALONG) == any_length
+    assert relief_lengths((0.0, 0.0), HEIGHT, HALF_WIDTH, ALONG) == any_length
+    # a third of it is that of short hills
+    short = relief_lengths((HEIGHT**2 / 3, HEIGHT**2 / 3), HEIGHT, HALF_WIDTH, ALONG)
+    assert short[0] == short[1] < 0.5 * HALF_WIDTH
+    assert_allclose(detrended_share(short[0], HALF_WIDTH), 1 / 3, rtol=0.1)
 
 
 class TestShare:

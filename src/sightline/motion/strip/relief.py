@@ -38,13 +38,14 @@ LONGEST, LEAST_SLOPE = 2.0, 0.1
 #: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
 #: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
 STEEPEST_SLOPE = 0.5
-#: Products of residuals that tell a variance; windows that overlap err alike, about so many as one; errors of
+#: Products of residuals that tell a variance; rows of windows over which hills may be alike; variances of
 #: matches along lines and columns are unlike by such a share of themselves.
-FEWEST_PRODUCTS, OVERLAP, UNLIKE_AXES = 30, 2.0, 0.2
+FEWEST_PRODUCTS, ALIKE_ROWS, UNLIKE_AXES = 30, 9, 0.2
 #: Standard deviations by which what residuals show of relief may be wrong.
 SURE = 2.0
-#: Rows of a strip, and correlation lengths, of which trends of relief are compared.
-TREND_ROWS, TRENDS = 31, 12
+#: Rows of a strip, and correlation lengths, of which is compared what they hide; of the strip no more than so
+#: many of the longest length: what that hides shrinks with all alike.
+HIDING_ROWS, HIDING_LENGTHS, HIDING_ALONG = 31, 12, 10.0
 #: Sizes that unknown relief may have, as shares of the sigma that was given; how probable each is beforehand.
 SHARES = 0.25 ** np.arange(3)
 BELIEF = np.array([0.8, 0.1, 0.1])
@@ -176,14 +177,15 @@ def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> tuple[float,
     -----
     What residuals share along the parallax beyond what they share square to it is taken for relief: matching
     errs alike on both axes (in units of its own sigma), relief moves points along the parallax only: lines
-    where bands look ahead, columns behind a mirror that scans across. Products of pairs are weighed by what
-    their errors leave of them, and so many as SURE of these lie between the two: at short lags the errors
-    alone look like mountains a kilometre high.
+    where bands look ahead, columns behind a mirror that scans across. Products of pairs are weighed by their
+    scatter. Their mean is known to that of its rows, which are alike over ALIKE_ROWS and hold the errors of
+    the hub once for all pairs, and to what errors of both axes may be unlike, once for all; SURE of both lie
+    between the two. At short lags the errors alone look like mountains a kilometre high.
     """
-    excess, weight = 0.0, 0.0
+    excess, weight, variance, unlike = 0.0, 0.0, 0.0, 0.0
     for star, post in zip(stars, post_px, strict=True):
         z, _ = scatter(star, post)
-        pairs = star.t.shape[1]
+        rows, pairs = star.shape[0], star.t.shape[1]
         left = z.reshape(-1, pairs, 2)
         sigma_px = np.sqrt(star.covariance_px[..., [0, 1], [0, 1]])
         # in units of the errors, in which residuals are compared
@@ -195,24 +197,39 @@ def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> tuple[float,
         gain = np.hypot(by_height[..., 0], by_height[..., 1])
         parallel = np.einsum("gka,ka->gk", left, way)
         square = np.einsum("gka,ka->gk", left, way[:, ::-1] * [-1.0, 1.0])
+        of_rows = np.zeros(rows)
         for j in range(pairs):
             for k in range(j, pairs):
                 if pairs > 1 and j == k:
                     continue
-                shared = parallel[:, j] * parallel[:, k]
                 errors = square[:, j] * square[:, k]
-                seen = np.isfinite(shared - errors)
-                height = float(np.nanmedian(gain[:, j] * gain[:, k]))
-                if seen.sum() < FEWEST_PRODUCTS or not height > 0.0:
+                beyond = parallel[:, j] * parallel[:, k] - errors
+                seen = np.isfinite(beyond)
+                number = int(seen.sum())
+                if number < FEWEST_PRODUCTS:
                     continue
-                spread = OVERLAP * float(np.var(shared[seen] - errors[seen])) / float(seen.sum())
-                spread += (UNLIKE_AXES * float(np.mean(np.abs(errors[seen])))) ** 2
-                excess += height * float(np.mean(shared[seen] - errors[seen])) / spread
-                weight += height**2 / spread
+                height = float(np.median((gain[:, j] * gain[:, k])[seen]))
+                spread = float(np.var(beyond[seen])) / number
+                if not (height > 0.0 and spread > 0.0):
+                    continue
+                share = height / spread
+                weight += height * share
+                unlike += UNLIKE_AXES * share * float(np.mean(np.abs(errors[seen])))
+                of_rows += np.where(seen, beyond, 0.0).reshape(rows, -1).sum(axis=1) * (share / number)
+        excess += float(of_rows.sum())
+        variance += _variance_of_sum(of_rows)
     if weight == 0.0:
         return 0.0, math.inf
-    found, error = excess / weight, 1.0 / math.sqrt(weight)
-    return max(found - SURE * error, 0.0), max(found + SURE * error, 0.0)
+    error = SURE * math.hypot(math.sqrt(variance), unlike)
+    return max((excess - error) / weight, 0.0), max((excess + error) / weight, 0.0)
+
+
+def _variance_of_sum(values: Array) -> float:
+    """Of a series (N,) that is alike over ALIKE_ROWS: no less than if all were independent (Bartlett)."""
+    left = values - values.mean()
+    lags = range(1, min(ALIKE_ROWS, len(left)))
+    alike = sum((1.0 - lag / ALIKE_ROWS) * float(left[lag:] @ left[:-lag]) for lag in lags)
+    return float(left @ left) + 2.0 * max(alike, 0.0)
 
 
 def relief_lengths(
@@ -229,19 +246,26 @@ def relief_lengths(
 
     Notes
     -----
-    Any length between those that have this scatter explains what was seen. Of them each has that of the
-    steepest trend over the strip: shorter hills average out, longer ones lie flat within it.
+    Any length between those that have this scatter explains what was seen, all of them where none does. Of
+    the mean height a trend over the strip is looked at, which bends pitch (an even one is an even rate), of
+    slopes their mean, an even rate of yaw: shorter hills average out, longer ones lie flat.
     """
     lengths = _lengths(sigma, half_width, 60)
     shares = sigma**2 * np.array([detrended_share(length, half_width) for length in lengths])
-    longest, shortest = (lengths[int(np.argmin(np.abs(shares - one)))] for one in beside)
-    some = np.geomspace(shortest, longest, TRENDS)
-    rows = np.linspace(0.0, along, TREND_ROWS)
-    trend = np.linspace(-1.0, 1.0, TREND_ROWS)
-    lags = np.abs(np.subtract.outer(np.arange(TREND_ROWS), np.arange(TREND_ROWS)))
-    sizes = [[trend @ c[lags] @ trend for c in _row_covariances(one, half_width, rows)] for one in some]
-    mean, slope = some[np.argmax(sizes, axis=0)]
-    return float(mean), float(slope)
+    least, most = beside
+    if least > shares[0] or most <= 0.0:
+        least, most = 0.0, math.inf
+    longest, shortest = (lengths[int(np.argmin(np.abs(shares - one)))] for one in (least, most))
+    some = np.geomspace(shortest, longest, HIDING_LENGTHS)
+    rows = np.linspace(0.0, min(along, HIDING_ALONG * lengths[-1]), HIDING_ROWS)
+    trend, even = np.linspace(-1.0, 1.0, HIDING_ROWS), np.ones(HIDING_ROWS)
+    apart = np.abs(np.subtract.outer(np.arange(HIDING_ROWS), np.arange(HIDING_ROWS)))
+    hidden = []
+    for length in some:
+        mean, slope = (covariance[apart] for covariance in _row_covariances(length, half_width, rows))
+        hidden.append([trend @ mean @ trend, even @ slope @ even])
+    of_mean, of_slope = some[np.argmax(hidden, axis=0)]
+    return float(of_mean), float(of_slope)
 
 
 def _lengths(sigma: float, half_width: float, number: int) -> Array:
@@ -263,7 +287,7 @@ def relief_share(likelihood: Callable[[float, float], float], sigma: float, half
 
     Notes
     -----
-    Half of the belief is in what was given, the other half in sizes down to a 16th of it: a sigma is often
+    Four fifths of the belief are in what was given, a fifth in sizes down to a 16th of it: a sigma is often
     said for want of a DEM, of ground that is far flatter. Variances are averaged; where images tell nothing,
     most of what was given stays. Likelihoods are averaged over correlation lengths: of one that is wrong the
     size would take the blame.
