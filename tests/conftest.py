@@ -38,7 +38,7 @@ LONGEST = (
         "applications/test_fusion.py", "applications/test_relief.py", "applications/test_hybridise.py",
         "applications/test_unlike_bands.py", "motion/strip/test_withheld.py", "test_cli_register.py",
         "test_cli_tdi.py", "report/test_hostile_names.py", "kinds/test_kinds.py",
-        "applications/test_registration.py", "applications/test_wrong_lag.py",
+        "applications/test_registration.py", "motion/strip/test_alternatives.py",
         "estimation/test_likelihood.py", "test_examples.py",
     ),
     (

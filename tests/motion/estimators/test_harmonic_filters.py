@@ -10,7 +10,7 @@ from motion.estimators.s1_combinations import in_turn, max_band
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.motion.estimators.differences import AngleDifferences
-from sightline.motion.estimators.harmonic import restore
+from sightline.motion.estimators.harmonic import restore, strength
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.wiener import wiener
 from sightline.motion.observability import chain_gain, combined_gain, noise_gain
@@ -185,4 +185,8 @@ def test_a_filter_is_chosen_by_the_density_of_each_pair_and_axis():
     assert bins.noise_psd * nyquist == pytest.approx(variances.T, rel=1e-6)
     # angle(t + lag) - angle(t) of exp(2 pi i f t)
     lags = np.array([0.01, 0.05])[:, None]
+    sine = 4.0 * np.sin(np.pi * bins.frequency * lags) ** 2 * nyquist
+    assert strength(bins) == pytest.approx(
+        np.array([(sine.T / v).sum(axis=1) for v in variances.T]), rel=1e-6
+    )
     assert bins.gain == pytest.approx(np.exp(2j * np.pi * bins.frequency * lags) - 1.0, abs=1e-9)

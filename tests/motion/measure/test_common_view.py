@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -11,7 +14,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
 from sightline.motion.measure.common_view import EDGE, LEAST_COLUMNS, common_views, partners_of, usable
-from sightline.motion.measure.plan import LEAST_WIDTH, MatchingPlan, hub_windows
+from sightline.motion.measure.plan import LEAST_WIDTH, MatchingPlan, hub_windows, mixed_stages, within_stages
 from sightline.motion.strip.viewing_axes import viewing_axes
 
 PERIOD, IFOV, LINES = 5e-4, 5e-6, 400
@@ -90,6 +93,44 @@ def test_images_that_look_at_nearly_the_same_columns_share_those_that_all_see():
     alike, other = partners_of(views, (0, 1, 2, 3, 4), 0, 500)
     assert alike.images == (1, 2, 3) and alike.columns == (102 + EDGE, 297 - EDGE)
     assert other.images == (4,) and other.columns == (150 + EDGE, 300 - EDGE)
+
+
+@pytest.mark.parametrize("window", [100, 40])
+def test_windows_lie_between_the_columns_at_which_stages_change(window):
+    stages = np.repeat([8, 16, 64, 16], [207, 150, 30, 113])
+    line = camera()
+    grid = MatchingPlan((4, window), 4).grid((LINES, 500))
+    found = within_stages(grid, replace(line, stages=stages))
+    half = 0.5 * (found.window[1] - 1)
+    first, last = found.columns - half, found.columns + half
+    assert (first == np.rint(first)).all() and (first[1:] > last[:-1]).all()
+    used, sides = 0, [int(side) for side in grid.sides]
+    for begin, end in pairwise([sides[0], 207, 357, 387, sides[1]]):
+        run = end - begin
+        inside = (found.columns > begin - 0.5) & (found.columns < begin + run - 0.5)
+        used += inside.sum() * found.window[1]
+        # as many as fit, side by side in the middle of their run
+        assert inside.sum() == run // found.window[1]
+        if inside.any():
+            left, right = first[inside][0] - begin, begin + run - 1 - last[inside][-1]
+            assert left >= 0 and right >= 0 and abs(left - right) <= 1
+    assert used > 0.8 * 500 and found.window[0] == 4 and found.lines.tolist() == grid.lines.tolist()
+    assert within_stages(grid, line) is grid
+    assert within_stages(grid, replace(line, stages=np.full(500, 8))) is grid
+
+
+def test_windows_are_mixed_where_a_tenth_of_them_has_other_stages():
+    """Stages change behind column 199: windows 100 wide, of which so many columns lie beyond it."""
+    mixed = replace(camera(), stages=np.where(np.arange(500) < 200, 8, 16))
+    beyond = np.array([0.0, 8.0, 12.0, 50.0, 88.0, 92.0, 100.0])
+    centres = np.column_stack([np.full(7, 100.0), 199.5 - 50.0 + beyond])
+    expected = [False, False, True, True, True, False, False]
+    assert mixed_stages(mixed, centres, (4, 100)).tolist() == expected
+    assert not mixed_stages(camera(), centres, (4, 100)).any()
+    # of stages that change from line to line a window sees those of all its lines
+    lines = replace(camera(), stages=np.where(np.arange(LINES) < 100, 8, 16)[:, None] * np.ones(500, int))
+    rows = np.column_stack([np.array([90.0, 97.0, 103.0, 110.0]), np.full(4, 250.0)])
+    assert mixed_stages(lines, rows, (10, 40)).tolist() == [False, True, True, False]
 
 
 class TestViewingAxes:

@@ -15,8 +15,9 @@ from sightline.geometry.conjugate import predict_match
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
-from sightline.geometry.trajectory import Trajectory
+from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.imaging.source import ArrayImage
+from sightline.motion.measure.laid_strips import exposed
 from sightline.motion.measure.windows import (
     brightest_parts,
     exposure_times,
@@ -130,6 +131,21 @@ def test_the_field_runs_from_minus_one_to_one_between_the_outer_pixels():
 def test_an_image_has_the_size_of_its_strip_or_its_detector():
     assert image_shape(strip_cameras((0.0,))[0]) == (600, 320)
     assert image_shape(frame()) == (101, 80)
+
+
+def test_a_line_shows_the_mean_of_a_motion_over_its_exposure():
+    """A tone of f keeps sinc(f T) of its size over an exposure of T, here half a period and less."""
+    tones = np.array([200.0, 450.0, 1000.0])
+    t = np.arange(T0, T1, PERIOD / 20)
+    motion = Motion(t, 1e-5 * np.sin(2.0 * np.pi * np.outer(t, tones) + [0.0, 1.0, 2.0]))
+    (line,) = strip_cameras((0.0,), motion=motion)
+    found = exposed(line).trajectory.motion
+    inner = (t > T0 + PERIOD) & (t < T1 - 2 * PERIOD)
+    # five parts of an exposure: above the integral by (pi f T / 5)^2 / 6
+    short = np.abs(found.angles - motion.angles * np.sinc(tones * PERIOD))[inner].max(axis=0)
+    assert (short < 1.1e-5 * (np.pi * tones * PERIOD / 5.0) ** 2 / 6.0).all()
+    (still,) = strip_cameras((0.0,))
+    assert exposed(still) is still and exposed(frame()).trajectory.motion is None
 
 
 class TestBrightestParts:

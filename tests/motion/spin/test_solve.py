@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,8 +23,15 @@ from sightline.motion.frames.matches import FrameStar
 from sightline.motion.frames.ties import FrameTies
 from sightline.motion.sensors import AttitudeSensor
 from sightline.motion.spin.matches import strip_pairs
-from sightline.motion.spin.report import findings
-from sightline.motion.spin.solve import AttitudeSigma, SpinUnknowns, layers_of, solve_spin, spin_statics
+from sightline.motion.spin.report import at_camera, findings
+from sightline.motion.spin.solve import (
+    SPIN_NAMES,
+    AttitudeSigma,
+    SpinUnknowns,
+    layers_of,
+    solve_spin,
+    spin_statics,
+)
 
 FOCAL, INTERVAL, EXPOSURES, LINES, COLUMNS = 1000.0, 0.4, 10, 100, 400
 TURN, NOMINAL = -0.08, (120.0, 20.0, -80.0)
@@ -255,3 +263,24 @@ def test_a_star_tracker_ties_the_attitude_of_a_spinning_body():
         (use,) = found.unknowns.ties.uses(found.angles.ravel(), found.angle_covariance)
         assert use.used == EXPOSURES and use.outliers == 0
     assert_possible(total, 3 * len(seeds))
+
+
+def test_the_rate_at_given_constants_is_that_of_a_gaussian_conditioned_on_them():
+    """By the information: the inverse of the covariance of rate and constants, others left free."""
+    rng = np.random.default_rng(9)
+    scale = 10.0 ** rng.uniform(-6.0, 2.0, len(SPIN_NAMES) + 4)
+    root = rng.normal(size=(len(scale), 3 * len(scale)))
+    covariance = (root @ root.T) * np.outer(scale, scale)
+    estimate = SimpleNamespace(
+        x=scale * rng.normal(size=len(scale)), covariance=covariance,
+        unknowns=SimpleNamespace(spin=SimpleNamespace(rate=0.2)),
+    )  # fmt: skip
+    first = len(SPIN_NAMES)
+    rows = [0, *range(first, first + 3)]
+    constants = scale[rows[1:]] * rng.normal(size=3)
+    size = np.outer(scale[rows], scale[rows])
+    information = np.linalg.inv(covariance[np.ix_(rows, rows)] / size) / size
+    expected = estimate.x[0] - information[0, 1:] @ (constants - estimate.x[rows[1:]]) / information[0, 0]
+    rate, sigma = at_camera(estimate, constants)
+    assert rate == pytest.approx(0.2 + expected, rel=1e-9)
+    assert sigma == pytest.approx(information[0, 0] ** -0.5, rel=1e-6)
