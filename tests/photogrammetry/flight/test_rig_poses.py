@@ -12,7 +12,7 @@ from sightline.geometry.surface import Plane
 from sightline.photogrammetry.block.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.flight.poses import RoughPoses, adjust_frames
 from sightline.photogrammetry.flight.rig import RigCamera, RigOffsets, given_offsets
-from sightline.photogrammetry.flight.rig_poses import RigSolution, adjust_rig
+from sightline.photogrammetry.flight.rig_poses import RigSolution, _alike_again, adjust_rig
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
 
 SHAPE, FOCAL, HEIGHT = (300, 400), (400.0, 390.0, 405.0), 100.0
@@ -115,3 +115,16 @@ def test_offsets_and_poses_err_by_what_their_covariance_says(seeds) -> None:
     # chi-square of 72 over 72 has a sigma of 0.17; poses of a flight share their datum: 6 x some 10 of them
     assert 0.5 < np.mean(rig) < 1.5, np.mean(rig)
     assert 0.5 < np.mean(poses) < 1.5, np.mean(poses)
+
+
+def test_residuals_of_a_point_go_together_by_the_mean_product_of_its_pairs():
+    rng = np.random.default_rng(7)
+    point = rng.integers(0, 40, 160)
+    unit = rng.normal(size=(40, 2))[point] + rng.normal(size=(160, 2))
+    together = [unit[i] @ unit[j] for i in range(160) for j in range(160) if i != j and point[i] == point[j]]
+    expected = np.mean(together) / np.mean((unit**2).sum(axis=1))
+    assert 0.2 < expected < 0.8
+    assert _alike_again(point, unit) == pytest.approx(expected)
+    # fewer than thirty pairs tell nothing, and nothing is less than none
+    assert _alike_again(np.arange(160), unit) == 0.0
+    assert _alike_again(np.repeat(np.arange(80), 2), np.tile([[1.0, 1.0], [-1.0, -1.0]], (80, 1))) == 0.0
