@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -63,9 +64,17 @@ class TestRefused:
             "finds in an orthoimage"
         )
 
-    @pytest.mark.parametrize("sigma", [-1.0, np.nan, np.inf])
+    def test_what_is_no_band_and_no_surface(self):
+        for given, said in (([], "got none"), ([bands()[0].image] * 2, "got ArrayImage")):
+            with pytest.raises(InputError, match=rf"two or more `sightline.Band`.* {said}"):
+                recover_line_of_sight(given, Plane())
+        with pytest.raises(InputError, match=r"`surface` must be a Plane, Ellipsoid or Dem, got 0\.0"):
+            recover_line_of_sight(bands(), 0.0)
+
+    @pytest.mark.parametrize("sigma", [-1.0, np.nan, np.inf, "300", None, [3.0], True])
     def test_what_is_no_sigma_of_heights(self, sigma):
-        with pytest.raises(InputError, match=rf"`height_sigma` must be 0 or more \(m\), got {sigma}"):
+        said = re.escape(f"`height_sigma` must be 0 or more (m), got {sigma!r}")
+        with pytest.raises(InputError, match=said):
             recover_line_of_sight(bands(), Plane(), height_sigma=sigma)
 
     def test_an_image_of_another_size_than_its_camera_is_named(self):

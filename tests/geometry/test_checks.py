@@ -82,7 +82,7 @@ def test_scalars_and_lengths_are_checked():
         positive(0.0, "line_period", "s")
     assert not_negative(0, "x") == 0.0
     for wrong in (-1e-9, np.nan, np.inf):
-        with pytest.raises(InputError, match=rf"`sigma` must be 0 or more \(m\), got {wrong}"):
+        with pytest.raises(InputError, match=rf"`sigma` must be 0 or more \(m\), got {wrong!r}"):
             not_negative(wrong, "sigma", "m")
     with pytest.raises(InputError, match=r"`height` must be finite \(m\), got nan"):
         finite(np.nan, "height", "m")

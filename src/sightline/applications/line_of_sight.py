@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import EstimationError, computes
+from sightline.errors import EstimationError, InputError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.estimation.search import CLOSELY, SETTLED
 from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
@@ -119,8 +119,9 @@ LINES_AT_HAND, LEAST_CACHE_MIB = 1024, 8
 #: Cosine of the angle, 18 degrees, from which on a camera looks far off the body's z: the turn about its line
 #: of sight then holds a third of the body's angles across it.
 ASIDE = 0.95
-#: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
-MIN_KEPT_SHARE = 0.02
+#: Fewer matches than these, or first ones than this share of the windows tried, are such as chance keeps: the
+#: prediction is wrong, texture is not what is missing.
+FEWEST_KEPT, MIN_KEPT_SHARE = 20, 0.02
 #: Where fewer windows than half of those tried are kept, the first search goes so many times as far, up to so
 #: many px, and counts if it keeps so many times as many.
 FARTHER, FARTHEST, MORE_KEPT = 3, 32, 1.3
@@ -204,6 +205,11 @@ def recover_line_of_sight(
     (``motion/strip/control_only.py``): the height's sigma has no part in it.
     """
     not_negative(height_sigma, "height_sigma", "m")
+    if not bands or not all(isinstance(band, Band) for band in bands):
+        given = ", ".join(sorted({type(band).__name__ for band in bands})) or "none"
+        raise InputError(f"`bands` must be two or more `sightline.Band` (image and camera), got {given}")
+    if not hasattr(surface, "intersect"):
+        raise InputError(f"`surface` must be a Plane, Ellipsoid or Dem, got {surface!r}")
     options = options or RecoverOptions()
     tell = progress or silent
     strip, options = ready_strip(bands, surface, sensors, control_points, known, options)
@@ -409,9 +415,8 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
     records, searched = _searched(strip, nodes, statics, plan, tell)
     records = tuple(_with_floor(r) for r in records)
-    tried = sum(int((r.status != NOT_CHOSEN).sum()) for r in records)
-    kept = sum(int(r.star.present.sum()) for r in records)
-    if kept < max(20, MIN_KEPT_SHARE * tried):
+    kept, tried = _windows(records)
+    if kept < max(FEWEST_KEPT, MIN_KEPT_SHARE * tried):
         otherwise = _otherwise(strip, options)
         if otherwise:
             raise EstimationError(
@@ -434,6 +439,7 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
         nodes, statics = state.estimate.nodes, state.estimate.statics
         step = steps_of(tell, "first pass: searching where nothing was found")
         records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan, step=step))
+        _some_left(strip, state, records, options)
         before, found = found, _share_kept(records)
         if found < before + FOUND_AGAIN:
             break
@@ -444,6 +450,7 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     nodes, statics = state.estimate.nodes, state.estimate.statics
     records = _match(strip, nodes, statics, plan, records, step, learned=True)
     records = tuple(_with_floor(r) for r in records)
+    _some_left(strip, state, records, options)
     return solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
 
 
@@ -498,6 +505,12 @@ def _otherwise(strip: Strip, options: RecoverOptions) -> str:
     return ""
 
 
+def _windows(records: Sequence[StarRecord]) -> tuple[int, int]:
+    """Windows whose matches were kept, and those that were tried."""
+    tried = sum(int((r.status != NOT_CHOSEN).sum()) for r in records)
+    return sum(int(r.star.present.sum()) for r in records), tried
+
+
 def _share_kept(records: Sequence[StarRecord]) -> float:
     """Share of the windows that were tried, and lie in both images, whose matches were kept."""
     tried = sum(int(((r.status != NOT_CHOSEN) & (r.status != OUTSIDE)).sum()) for r in records)
@@ -536,9 +549,9 @@ def _compensated_pass(
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
     records = _match(strip, nodes, statics, plan, state.records, step, learned=number > 0)
-    _some_left(strip, state, records)
+    _some_left(strip, state, records, options)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
-    _some_left(strip, solved, solved.records)
+    _some_left(strip, solved, solved.records, options)
     if given is not None:
         # what it does not hold is no jump
         return solve_strip(
@@ -583,13 +596,20 @@ def _compensated_pass(
     return solve_strip(strip, records, nodes, statics, model, height_sigma, before=state, rounds=rounds)
 
 
-def _some_left(strip: Strip, state: StripState, records: Sequence[StarRecord]) -> None:
-    """EstimationError where all windows are thrown out, as where a detector line is not straight."""
-    if any(record.star.present.any() for record in records):
+def _some_left(
+    strip: Strip, state: StripState, records: Sequence[StarRecord], options: RecoverOptions
+) -> None:
+    """EstimationError where hardly a window is left, as where a detector line is not straight."""
+    if _windows(records)[0] >= FEWEST_KEPT:
         return
-    words = shape_warnings(strip, state) or [
-        "check look angles, line times and `[surface]`, or clouds hide all"
-    ]
+    words = shape_warnings(strip, state)
+    otherwise = "" if words else _otherwise(strip, options)
+    if otherwise:
+        raise EstimationError(
+            "the images do not match where the cameras say (windows of a row do not agree), but for one "
+            f"mistake they would: {otherwise}"
+        )
+    words = words or ["check look angles, line times and `[surface]`, or clouds hide all"]
     raise EstimationError(f"no windows of a row agree with each other: {'; '.join(words)}")
 
 

@@ -86,7 +86,10 @@ def _apart(before: dict[str, Any], after: dict[str, Any]) -> str:
     if not now:
         few = f"{after['kept']} of {after['windows']} windows match"
         return f"{was} apart, now not known: {few}" if was else f"how far apart is not known: {few}"
-    return f"{was} apart, now {now} (rms)" if was else f"before not known, now {now} apart (rms)"
+    if was:
+        return f"{was} apart, now {now} (rms)"
+    few = f"{before['kept']} of {before['windows']} windows match"
+    return f"before not known: {few}; now {now} apart (rms)"
 
 
 def register_into(

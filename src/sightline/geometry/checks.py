@@ -154,20 +154,30 @@ def same_length(a: Array, name_a: str, b: Array, name_b: str) -> None:
 
 def positive(value: float, name: str, unit: str = "") -> float:
     """`value` as a float, if finite and > 0. Raises InputError otherwise."""
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"`{name}` must be positive{' (' + unit + ')' if unit else ''}, got {value}")
+    if not (_is_finite(value) and value > 0):
+        raise InputError(f"`{name}` must be positive{_in(unit)}, got {value!r}")
     return float(value)
 
 
 def finite(value: float, name: str, unit: str = "") -> float:
     """`value` as a float, if finite. Raises InputError otherwise."""
-    if not np.isfinite(value):
-        raise InputError(f"`{name}` must be finite{' (' + unit + ')' if unit else ''}, got {value}")
+    if not _is_finite(value):
+        raise InputError(f"`{name}` must be finite{_in(unit)}, got {value!r}")
     return float(value)
 
 
 def not_negative(value: float, name: str, unit: str = "") -> float:
     """`value` as a float, if finite and >= 0. Raises InputError otherwise."""
-    if not (np.isfinite(value) and value >= 0):
-        raise InputError(f"`{name}` must be 0 or more{' (' + unit + ')' if unit else ''}, got {value}")
+    if not (_is_finite(value) and value >= 0):
+        raise InputError(f"`{name}` must be 0 or more{_in(unit)}, got {value!r}")
     return float(value)
+
+
+def _is_finite(value: float) -> bool:
+    """Whether it is one number, and finite: words and lists are none."""
+    number = np.asarray(value)
+    return number.ndim == 0 and number.dtype.kind in "iuf" and bool(np.isfinite(number))
+
+
+def _in(unit: str) -> str:
+    return f" ({unit})" if unit else ""

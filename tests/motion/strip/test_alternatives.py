@@ -43,6 +43,15 @@ def test_a_lag_of_the_wrong_sign_is_proved_by_the_matches(scene) -> None:
         recover_line_of_sight(bands, Plane(0.0))
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_all_lags_of_the_wrong_sign_are_named_where_chance_keeps_windows(seed) -> None:
+    """The first search keeps some windows of other ground; the next matching none, or too few for a row."""
+    given = line_of_sight_case("nominal", seed, lines=900, columns=160)
+    bands = [described(given, k, sign=-1.0) for k in (0, 1, 3)]
+    with pytest.raises(EstimationError, match=r"for one mistake they would: B\d: .*change the sign"):
+        recover_line_of_sight(bands, Plane(0.0))
+
+
 @pytest.mark.parametrize(("axis", "said"), [(0, "its lines are taken the other way"), (1, "its columns are")])
 def test_an_image_the_other_way_round_is_named(scene, axis, said) -> None:
     hub, partner = described(scene, 0), described(scene, 1)
