@@ -8,24 +8,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.photogrammetry import s2_dense
+from tests.photogrammetry.pair.test_settings import DETECTOR, problem
 from tests.photogrammetry.s2_dense import ARCSEC, Case
 
 from sightline.applications.stereo_prediction import improvements, predict, predict_plan
 from sightline.errors import InputError
-from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.problem import StereoProblem
-from sightline.photogrammetry.pair.settings import (
-    StereoPlan,
-    pixels_of_places,
-    setting_of_plan,
-)
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.pair.settings import StereoPlan
+from sightline.photogrammetry.sightings import Images
 from sightline.simulate.stereo import stereo_case
 
-DETECTOR = AreaDetector("frame", (700, 700), 350.0 / np.tan(np.radians(0.75)), (349.5, 349.5))
 CASE = Case(shots=16, points=60, relief=0.0)
 
 
@@ -36,19 +31,6 @@ def plan(**given) -> StereoPlan:
     }  # fmt: skip
     pair = OrbitPair(separation=given.pop("separation", 70.0))
     return StereoPlan(pair, (DETECTOR, DETECTOR), (NADIR_MOUNT, NADIR_MOUNT), **known | given)
-
-
-def problem(given: StereoPlan, *, matched: bool = True) -> StereoProblem:
-    """The plan's images and points as a problem, pixels as planned."""
-    setting = setting_of_plan(given)
-    rows = slice(None) if matched else slice(0)
-    image, point = setting.image[rows], setting.point[rows]
-    pixels = pixels_of_places(setting.images, setting.detectors, setting.mounts, image, setting.places[point])
-    return StereoProblem(
-        ("1", "2"), setting.images, np.arange(setting.shots), setting.detectors, setting.mounts,
-        Tracks(image, point, pixels, np.full(len(image), given.sigma_px)), np.arange(given.points),
-        setting.noise, setting.radii,
-    )  # fmt: skip
 
 
 def arcsec(prediction):

@@ -417,12 +417,7 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     records = tuple(_with_floor(r) for r in records)
     kept, tried = _windows(records)
     if kept < max(FEWEST_KEPT, MIN_KEPT_SHARE * tried):
-        otherwise = _otherwise(strip, options)
-        if otherwise:
-            raise EstimationError(
-                f"the images do not match where the cameras say ({kept} of {tried} windows kept), but for "
-                f"one mistake they would: {otherwise}"
-            )
+        _check_for_one_mistake(strip, options, f"{kept} of {tried} windows kept")
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{searched} px of the prediction ({_counts(records)}); check look angles, line times "
@@ -495,14 +490,16 @@ def _counts(records: Sequence[StarRecord]) -> str:
     return ", ".join(f"{numbers[code]} {STATUS_NAMES[code]}" for code in order if numbers[code])
 
 
-def _otherwise(strip: Strip, options: RecoverOptions) -> str:
-    """The mistake without which the first pair that can be mended would match; "" where none is found."""
+def _check_for_one_mistake(strip: Strip, options: RecoverOptions, seen: str) -> None:
+    """EstimationError where a pair would match but for a mistake in its description; `seen` is in words."""
     hub = strip.bands[0]
     for partner in strip.bands[1:]:
         words = alternative(hub, partner, strip.surface, options.search_px)
         if words:
-            return f"{partner.name}: {words}"
-    return ""
+            raise EstimationError(
+                f"the images do not match where the cameras say ({seen}), but for one mistake they would: "
+                f"{partner.name}: {words}"
+            )
 
 
 def _windows(records: Sequence[StarRecord]) -> tuple[int, int]:
@@ -514,7 +511,7 @@ def _windows(records: Sequence[StarRecord]) -> tuple[int, int]:
 def _share_kept(records: Sequence[StarRecord]) -> float:
     """Share of the windows that were tried, and lie in both images, whose matches were kept."""
     tried = sum(int(((r.status != NOT_CHOSEN) & (r.status != OUTSIDE)).sum()) for r in records)
-    return sum(int(r.star.present.sum()) for r in records) / max(tried, 1)
+    return _windows(records)[0] / max(tried, 1)
 
 
 def _longest_lost(records: Sequence[StarRecord]) -> float:
@@ -603,13 +600,9 @@ def _some_left(
     if _windows(records)[0] >= FEWEST_KEPT:
         return
     words = shape_warnings(strip, state)
-    otherwise = "" if words else _otherwise(strip, options)
-    if otherwise:
-        raise EstimationError(
-            "the images do not match where the cameras say (windows of a row do not agree), but for one "
-            f"mistake they would: {otherwise}"
-        )
-    words = words or ["check look angles, line times and `[surface]`, or clouds hide all"]
+    if not words:
+        _check_for_one_mistake(strip, options, "windows of a row do not agree")
+        words = ["check look angles, line times and `[surface]`, or clouds hide all"]
     raise EstimationError(f"no windows of a row agree with each other: {'; '.join(words)}")
 
 

@@ -83,13 +83,10 @@ def _apart(before: dict[str, Any], after: dict[str, Any]) -> str:
     """How far apart a pair was and is, in words where too few windows match to know."""
     lengths = [math.hypot(*fit["rms_px"]) for fit in (before, after)]
     was, now = (f"{length:.4f} px" if math.isfinite(length) else "" for length in lengths)
+    few_was, few_now = (f"{fit['kept']} of {fit['windows']} windows match" for fit in (before, after))
     if not now:
-        few = f"{after['kept']} of {after['windows']} windows match"
-        return f"{was} apart, now not known: {few}" if was else f"how far apart is not known: {few}"
-    if was:
-        return f"{was} apart, now {now} (rms)"
-    few = f"{before['kept']} of {before['windows']} windows match"
-    return f"before not known: {few}; now {now} apart (rms)"
+        return f"{was} apart, now not known: {few_now}" if was else f"how far apart is not known: {few_now}"
+    return f"{was} apart, now {now} (rms)" if was else f"before not known: {few_was}; now {now} apart (rms)"
 
 
 def register_into(

@@ -13,9 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import toeplitz
 
 from sightline.estimation.prior import Autoregressive, autoregressive
 from sightline.geometry.checks import ReadOnlyArrays
@@ -198,24 +200,21 @@ def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> tuple[float,
         parallel = np.einsum("gka,ka->gk", left, way)
         square = np.einsum("gka,ka->gk", left, way[:, ::-1] * [-1.0, 1.0])
         of_rows = np.zeros(rows)
-        for j in range(pairs):
-            for k in range(j, pairs):
-                if pairs > 1 and j == k:
-                    continue
-                errors = square[:, j] * square[:, k]
-                beyond = parallel[:, j] * parallel[:, k] - errors
-                seen = np.isfinite(beyond)
-                number = int(seen.sum())
-                if number < FEWEST_PRODUCTS:
-                    continue
-                height = float(np.median((gain[:, j] * gain[:, k])[seen]))
-                spread = float(np.var(beyond[seen])) / number
-                if not (height > 0.0 and spread > 0.0):
-                    continue
-                share = height / spread
-                weight += height * share
-                unlike += UNLIKE_AXES * share * float(np.mean(np.abs(errors[seen])))
-                of_rows += np.where(seen, beyond, 0.0).reshape(rows, -1).sum(axis=1) * (share / number)
+        for j, k in combinations(range(pairs), 2) if pairs > 1 else [(0, 0)]:
+            errors = square[:, j] * square[:, k]
+            beyond = parallel[:, j] * parallel[:, k] - errors
+            seen = np.isfinite(beyond)
+            number = int(seen.sum())
+            if number < FEWEST_PRODUCTS:
+                continue
+            height = float(np.median((gain[:, j] * gain[:, k])[seen]))
+            spread = float(np.var(beyond[seen])) / number
+            if not (height > 0.0 and spread > 0.0):
+                continue
+            share = height / spread
+            weight += height * share
+            unlike += UNLIKE_AXES * share * float(np.mean(np.abs(errors[seen])))
+            of_rows += np.where(seen, beyond, 0.0).reshape(rows, -1).sum(axis=1) * (share / number)
         excess += float(of_rows.sum())
         variance += _variance_of_sum(of_rows)
     if weight == 0.0:
@@ -259,10 +258,9 @@ def relief_lengths(
     some = np.geomspace(shortest, longest, HIDING_LENGTHS)
     rows = np.linspace(0.0, min(along, HIDING_ALONG * lengths[-1]), HIDING_ROWS)
     trend, even = np.linspace(-1.0, 1.0, HIDING_ROWS), np.ones(HIDING_ROWS)
-    apart = np.abs(np.subtract.outer(np.arange(HIDING_ROWS), np.arange(HIDING_ROWS)))
     hidden = []
     for length in some:
-        mean, slope = (covariance[apart] for covariance in _row_covariances(length, half_width, rows))
+        mean, slope = (toeplitz(one) for one in _row_covariances(length, half_width, rows))
         hidden.append([trend @ mean @ trend, even @ slope @ even])
     of_mean, of_slope = some[np.argmax(hidden, axis=0)]
     return float(of_mean), float(of_slope)
