@@ -42,7 +42,7 @@ from sightline.motion.results import (
     without_common_ground,
 )
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
-from sightline.motion.strip.alternatives import alternative
+from sightline.motion.strip.alternatives import mistake
 from sightline.motion.strip.checks import check_images, checked, farthest_control, farthest_sensor
 from sightline.motion.strip.control_only import alone, check_alone, solve_by_control
 from sightline.motion.strip.estimate import (
@@ -492,14 +492,11 @@ def _counts(records: Sequence[StarRecord]) -> str:
 
 def _check_for_one_mistake(strip: Strip, options: RecoverOptions, seen: str) -> None:
     """EstimationError where a pair would match but for a mistake in its description; `seen` is in words."""
-    hub = strip.bands[0]
-    for partner in strip.bands[1:]:
-        words = alternative(hub, partner, strip.surface, options.search_px)
-        if words:
-            raise EstimationError(
-                f"the images do not match where the cameras say ({seen}), but for one mistake they would: "
-                f"{partner.name}: {words}"
-            )
+    words = mistake(strip.bands, strip.surface, options.search_px)
+    if words:
+        raise EstimationError(
+            f"the images do not match where the cameras say ({seen}), but for one mistake they would: {words}"
+        )
 
 
 def _windows(records: Sequence[StarRecord]) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,8 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
-from sightline.motion.strip.alternatives import Reversed, alternative
+from sightline.motion.strip.alternatives import Reversed, alternative, exchanged, mistake
+from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 
 
@@ -48,8 +50,50 @@ def test_all_lags_of_the_wrong_sign_are_named_where_chance_keeps_windows(seed) -
     """The first search keeps some windows of other ground; the next matching none, or too few for a row."""
     given = line_of_sight_case("nominal", seed, lines=900, columns=160)
     bands = [described(given, k, sign=-1.0) for k in (0, 1, 3)]
-    with pytest.raises(EstimationError, match=r"for one mistake they would: B\d: .*change the sign"):
+    with pytest.raises(EstimationError, match=r"for one mistake they would: all bands .*change the sign"):
         recover_line_of_sight(bands, Plane(0.0))
+
+
+def exchange(bands: list[Band], order: tuple[int, ...]) -> list[Band]:
+    """The same bands with each other's images."""
+    return [replace(band, image=bands[k].image) for band, k in zip(bands, order, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ((1, 0, 2, 3), "the image of PAN matches as that of B1, and B1's as PAN's: exchange them"),
+        ((0, 3, 2, 1), "the image of B1 matches as that of B2, and B2's as B1's: exchange them"),
+        ((3, 2, 1, 0), "in the reverse order"),
+    ],
+)
+def test_files_of_bands_that_changed_places_are_named(scene, order, said) -> None:
+    bands = [described(scene, k) for k in range(4)]
+    assert said in mistake(exchange(bands, order), Plane(0.0), (8, 8))
+    assert exchanged(bands, Plane(0.0), (8, 8)) == ""
+
+
+def test_two_lost_bands_with_each_others_images_are_named_together(scene) -> None:
+    """The others hold, so it is no error: a warning says it once for both."""
+    bands = exchange([described(scene, k) for k in range(4)], (0, 3, 2, 1))
+    found = recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(passes=1))
+    [said] = [words for words in found.warnings if "match nothing" in words]
+    assert said == (
+        "B1 and B2 match nothing: the image of B1 matches as that of B2, and B2's as B1's: exchange them"
+    )
+
+
+def test_a_lag_of_another_length_is_named_with_its_length(scene) -> None:
+    """Look angles in other units, or of another altitude: the true one is .62 of what is said."""
+    bands = [described(scene, k, sign=1.0 / 0.62) for k in (0, 1, 3)]
+    words = mistake(bands, Plane(0.0), (8, 8))
+    # .15 s at 2 lines a millisecond
+    true, given = (abs(scene.bands[1].look_ahead) * 680e3 / 6800.0 / 0.0005 * k for k in (1.0, 1.0 / 0.62))
+    lag, instead, times = (float(x) for x in re.findall(r"-?\d+\.?\d*", words.partition("PAN")[2]))
+    assert words.startswith("B1: it matches PAN ")
+    # jitter moves bands by some pixels, offsets by up to three sigma of one
+    assert abs(abs(lag) - true) < 8.0 and abs(abs(instead) - given) < 8.0 and lag * instead > 0.0
+    assert times == pytest.approx(lag / instead, abs=0.01)
 
 
 @pytest.mark.parametrize(("axis", "said"), [(0, "its lines are taken the other way"), (1, "its columns are")])

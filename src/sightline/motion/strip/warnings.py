@@ -16,7 +16,7 @@ from sightline.motion.estimators.differences import YAW
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
-from sightline.motion.strip.alternatives import alternative
+from sightline.motion.strip.alternatives import alternative, exchanged
 from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hidden import likely_modes
@@ -219,11 +219,17 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
             compared[record.star.hub, image] += int(tried[:, k].sum())
             kept[record.star.hub, image] += int(record.star.present[:, k].sum())
     compared, kept = compared + compared.T, kept + kept.T
-    alone = ~pair_tells(kept, compared).any(axis=1)
+    alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
+    matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone)
+    if len(matched) and len(lost) > 1:
+        some = [strip.bands[b] for b in (matched[0], *lost)]
+        words = exchanged(some, strip.surface, RecoverOptions().search_px)
+        if words:
+            return [f"{' and '.join(band.name for band in some[1:])} match nothing: {words}"]
     return [
         f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
-        "nothing measures its place; " + _why_unmatched(strip, int(b), np.flatnonzero(~alone))
-        for b in np.flatnonzero(alone)
+        "nothing measures its place; " + _why_unmatched(strip, int(b), matched)
+        for b in lost
     ]
 
 
