@@ -71,7 +71,7 @@ def scene_bands() -> list[tuple[str, np.ndarray]]:
 
 
 def tile_shift(first: np.ndarray, second: np.ndarray) -> tuple[float, float] | None:
-    """Line and column (px) by which a tile lies elsewhere in another band, by ECC; None if it does not say."""
+    """Line and column (px) by which a tile lies elsewhere in another band; None if it does not say (ECC)."""
     import cv2
 
     one, other = (cv2.GaussianBlur(tile.astype(np.float32), (0, 0), 0.8) for tile in (first, second))
