@@ -186,16 +186,22 @@ def _without_unusable(
     reach = _FILL // 2 + 1
     columns = np.flatnonzero(unusable.any(axis=0))
     for run in np.split(columns, np.flatnonzero(np.diff(columns) > 2 * reach) + 1):
-        # columns near none are left as they are
-        part = slice(max(int(run[0]) - reach, 0), int(run[-1]) + reach + 1)
-        bad = unusable[:, part]
+        # lines and columns near none are left as they are
+        across = _around(run, reach)
+        part = _around(np.flatnonzero(unusable[:, across].any(axis=1)), reach), across
+        bad = unusable[part]
         good = (~bad).astype(np.float32)
         share = ndimage.uniform_filter(good, _FILL, mode="nearest")
-        around = ndimage.uniform_filter((pixels[:, part] - mean) * good, _FILL, mode="nearest")
+        around = ndimage.uniform_filter((pixels[part] - mean) * good, _FILL, mode="nearest")
         fill = mean + np.where(share > 1e-3, around / np.maximum(share, 1e-3), 0.0)
-        filled[:, part] = np.where(bad, fill, pixels[:, part])
-        grown[:, part] = ndimage.maximum_filter(bad, 2 * _GROW + 1, mode="nearest")
+        filled[part] = np.where(bad, fill, pixels[part])
+        grown[part] = ndimage.maximum_filter(bad, 2 * _GROW + 1, mode="nearest")
     return filled, grown
+
+
+def _around(places: NDArray[np.intp], reach: int) -> slice:
+    """From the first of ascending places to the last, and as far beyond as `reach`."""
+    return slice(max(int(places[0]) - reach, 0), int(places[-1]) + reach + 1)
 
 
 def _read(
