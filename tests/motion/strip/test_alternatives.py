@@ -119,6 +119,12 @@ def test_a_band_that_shows_other_ground_has_no_explanation(scene) -> None:
     )
 
 
+def test_a_band_that_matches_as_it_is_has_no_mistake(scene) -> None:
+    """It is the last band that sees other ground: nothing is to be changed about the one before."""
+    bands = [described(scene, 0), described(scene, 1), described(scene, 3, sign=60.0)]
+    assert mistake(bands, Plane(0.0), (8, 8)) == ""
+
+
 def test_a_reversed_image_reads_any_window_and_its_mask() -> None:
     pixels = np.arange(20.0).reshape(4, 5)
     unusable = pixels == 7.0

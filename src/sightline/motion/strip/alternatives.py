@@ -130,12 +130,13 @@ def alternative(hub: Band, partner: Band, surface: Surface, search_px: tuple[int
     Parameters are those of `mistake`, of two bands.
     """
     pair = _Pair.of(hub, partner, surface, search_px)
-    best, words = ENOUGH, ""
+    given, _ = pair.found(pair.there)
+    best, words = max(given, ENOUGH), ""
     for image, predicted, stretch, said in _tried(pair):
         share, _ = pair.found(predicted, image, stretch)
         if share > best:
             best, words = share, said
-    return words or _farther(pair)
+    return words or ("" if given > ENOUGH else _farther(pair))
 
 
 @dataclass(frozen=True, eq=False)
