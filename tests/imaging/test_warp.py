@@ -89,7 +89,7 @@ def test_lines_that_stand_unevenly_are_interpolated_from_where_they_stand():
 
 
 def best_weights(x: np.ndarray, y: float) -> tuple[np.ndarray, float]:
-    """Of sum 1, that carry waves up to 0.38 per line from places x to y, and how many times they tell an error.
+    """Of sum 1, that carry waves up to 0.38 per line from places x to y; how many times they tell an error.
 
     Least squares over frequencies, of which the products are the integral of cos(2 pi f d), with the sum held
     by a multiplier. What is 16 lines apart or more is as like as what is.
