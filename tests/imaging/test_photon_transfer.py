@@ -141,3 +141,32 @@ def test_exposures_are_parted_where_means_are_further_apart_than_the_tolerance()
     # the larger tolerance of two neighbours counts
     assert same_exposure(means, tolerance) == [[1, 3], [0, 2, 4], [5]]
     assert same_exposure(means, np.full(6, 0.3)) == [[1], [3], [0], [2], [4], [5]]
+
+
+def test_noise_is_known_as_well_as_pairs_of_frames_agree():
+    """Pairs of 1, 3, 2 and 4 DN: their scatter is far more than that of the pixels of one frame."""
+    rng, sigmas = np.random.default_rng(8), np.repeat([1.0, 3.0, 2.0, 4.0], 2)
+    arrays = [50.0 + s * rng.standard_normal((30, 44)) for s in sigmas]
+    frames, means = [ArrayImage(one) for one in arrays], [float(one.mean()) for one in arrays]
+    found = measure_stack(frames, means, 0.0, 100.0, np.zeros(44, np.bool_))
+    of_pairs = [np.var(b - a) / 2.0 for a, b in zip(arrays[::2], arrays[1::2], strict=True)]
+    # pixels come in single precision: 4e-6 of 50 DN over a difference of 1 DN
+    assert found.noise.sigma == pytest.approx(np.std(of_pairs, ddof=1) / 2.0, rel=1e-4)
+    assert found.noise.value == pytest.approx(np.var(arrays, axis=0, ddof=1).mean(), rel=0.01)
+
+
+@pytest.mark.parametrize("along", [0, 1], ids=["columns jump", "rows jump"])
+def test_the_fixed_pattern_scatters_as_stated_where_rows_or_columns_jump_from_frame_to_frame(along):
+    """A pattern of 3 DN of 14 rows or columns that jump by 1.5 DN, and noise of 1 DN, three frames."""
+    rng, shape = np.random.default_rng(9), (14, 40)[:: 1 if along else -1]
+    size = tuple(1 if axis == along else shape[axis] for axis in (0, 1))
+    pattern = 100.0 + 3.0 * rng.standard_normal(size)
+    values, sigmas = [], []
+    for _ in range(200):
+        noise = rng.standard_normal((3, *shape)) + 1.5 * rng.standard_normal((3, *size))
+        frames = [ArrayImage(pattern + one) for one in noise]
+        fixed = measure_stack(frames, [100.0] * 3, 0.0, 1e3, np.zeros(shape[1], np.bool_)).fixed
+        values.append(fixed.value)
+        sigmas.append(fixed.sigma)
+    # a sigma of 200 draws is known to 1 / sqrt(2 n), 5 %; four of them
+    assert np.std(values) / np.mean(sigmas) == pytest.approx(1.0, abs=0.2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.imaging.source import ArrayImage, ImageSource, read_padded
+from sightline.imaging.source import ArrayImage, ImageSource, in_memory, read_padded
 
 
 def test_an_array_is_an_image_source_and_reads_float32():
@@ -44,3 +44,12 @@ def test_nan_and_masked_pixels_are_flagged_and_made_finite():
 def test_a_window_wholly_outside_is_refused():
     with pytest.raises(InputError, match="must meet the image"):
         read_padded(ArrayImage(np.zeros((4, 4))), (6, 9), (0, 2))
+
+
+def test_an_image_in_memory_is_the_whole_of_it_and_of_its_mask():
+    pixels, mask = np.arange(35.0).reshape(5, 7), np.arange(35).reshape(5, 7) % 4 == 1
+    for image in (ArrayImage(pixels, mask), ArrayImage(pixels.T, mask.T)):
+        held = in_memory(image)
+        np.testing.assert_array_equal(held.array, image.array)
+        np.testing.assert_array_equal(held.unusable, image.unusable)
+    assert in_memory(ArrayImage(pixels)).unusable is None

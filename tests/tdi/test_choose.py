@@ -13,7 +13,7 @@ from sightline.errors import InputError
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure, drift_transfer, patent_transfer
 from sightline.tdi.choose import LIMITS, choose_settings, merit_of
-from sightline.tdi.merit import DriftMtf, mtf_merit
+from sightline.tdi.merit import DriftMtf, fullest_signals, main_lobe, mtf_merit, unsaturated
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 
 FORMS = {
@@ -130,6 +130,32 @@ class TestLimits:
         assert guarded.stages[0, 0] == 12 and loose.stages[0, 0] >= 37
         assert guarded.mtf[0, 0, 0] > 3 * loose.mtf[0, 0, 0]
         assert LIMITS[guarded.limit[0, 0]] == "main-lobe"
+
+    def test_the_main_lobe_ends_where_stages_slip_by_a_cycle_of_either_frequency(self):
+        rng, fx, fy = np.random.default_rng(6), 0.31, 0.44
+        columns = columns_of(1.0 + 0.05 * rng.normal(size=9), 0.05 * rng.normal(size=9))
+        found = main_lobe(columns, self.GRID, ChoiceRules(frequencies=(fx, fy)))
+        slipped = [
+            (v * math.tan(g) * fx, (v - 1.0) * fy)
+            for v, g in zip(columns.velocity, columns.slip, strict=True)
+        ]
+        stages, _ = self.GRID.settings
+        assert_array_equal(found, [[n * max(abs(x), abs(y)) <= 1.0 for n in stages] for x, y in slipped])
+        # each of them decides somewhere
+        assert {abs(x) > abs(y) for x, y in slipped} == {True, False} and 0.1 < found.mean() < 0.9
+        assert main_lobe(columns, self.GRID, ChoiceRules(main_lobe_only=False)).all()
+
+    @pytest.mark.parametrize(("quantile", "sigmas"), [(None, 1.644854), (0.1, 1.281552), (0.7, 0.0)])
+    def test_wells_hold_a_signal_so_many_sigmas_above_the_one_expected(self, quantile, sigmas):
+        # the upper 5 % of a normal distribution, or as much above it as the quantile lies below
+        detector = TdiDetector(self.HEAD, NoiseLaw(), None, 900.0, 20_000.0)
+        rules = ChoiceRules(signal_sigma=0.2, quantile=quantile)
+        stages, ratio = self.GRID.settings
+        line, total = np.maximum(ratio / 0.5, 1.0), 2 + (stages - 2) * ratio / 0.5
+        full = np.minimum(900.0 / line, 20_000.0 / total) / (1.0 + 0.2 * sigmas)
+        assert_allclose(fullest_signals(self.GRID, detector, rules), full, rtol=1e-6)
+        signals = np.array([150.0, 420.0, 700.0])
+        assert_array_equal(unsaturated(signals, self.GRID, detector, rules), signals[:, None] <= full)
 
     def test_a_well_is_never_overfilled_where_that_can_be(self):
         detector = TdiDetector(self.HEAD, NoiseLaw(read=12.0), None, 900.0, 20_000.0)

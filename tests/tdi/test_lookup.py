@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -150,7 +152,8 @@ def test_the_image_comes_back_the_same():
     for given in (table(), table(40, shift=7), table(4, groups=20_000), of_head):
         image = given.to_bytes()
         back = TdiTable.from_bytes(image)
-        assert back.to_bytes() == image and back.identity == given.identity
+        assert back.to_bytes() == image and back.identity == given.identity == zlib.crc32(image[:-4])
+        assert struct.pack("<I", given.identity) == image[-4:]
         for name in ("edges", "starts", "thresholds", "words", "ratios"):
             np.testing.assert_array_equal(getattr(back, name), getattr(given, name))
         assert (back.signals, back.shift, back.certified_loss) == (given.signals, given.shift, 0.004)

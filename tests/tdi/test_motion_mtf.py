@@ -237,6 +237,27 @@ def test_hidden_directions_are_drawn_and_those_that_cancel_change_nothing():
     assert_allclose(same.drawn(slice(1, 2))[:, 0, :, 0], 1.0, atol=1e-6)
 
 
+def test_each_draw_moves_velocity_and_slip_by_their_own_sigmas():
+    """Nothing moves but what the columns' covariance says, one number for both: a constant drift."""
+    t, sigma = np.linspace(-0.02, 0.25, 541), np.array([[4e-3, -1e-3], [9e-3, 3e-3], [2e-3, 8e-3]])
+    covariance = sigma[:, :, None] * sigma[:, None, :]
+    found = model(MotionKnowledge(Motion(t, np.zeros((541, 3)))), covariance=covariance, draws=8, starts=1)
+    where, (stages, ratio) = geometry(), GRID.settings
+    nodes, units = found.drawn(slice(0, 3)), normal_draws(2, 8)
+    for c, (of_velocity, of_slip) in enumerate(sigma):
+        # which of two normal numbers moves them, and which way, is the root's
+        off = []
+        for unit in (units[:, 0], -units[:, 0], units[:, 1], -units[:, 1]):
+            drift = (
+                (where.velocity[c] + of_velocity * unit)[:, None],
+                (where.slip[c] + of_slip * unit)[:, None],
+            )
+            each = [abs(drift_transfer(stages, ratio, *drift, *f)) for f in ((0.5, 0.0), (0.0, 0.4))]
+            off.append(np.abs(nodes[:, c] - np.stack(each, axis=-1)).max())
+        # nodes are kept as 32-bit numbers
+        assert min(off) < 2e-6 and max(off) > 1e-3
+
+
 def test_hidden_drifts_as_covariance_are_what_exact_rays_say():
     """Rates of pitch and yaw that are one direction: V moves by T (F pitch' + X yaw') sigma, X to 400."""
     t = np.linspace(-0.02, 0.25, 541)

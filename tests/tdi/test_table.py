@@ -13,7 +13,8 @@ from sightline.tdi.choose import choose_settings, merit_of
 from sightline.tdi.setting import TdiGrid
 from sightline.tdi.table_build import build_table
 from sightline.tdi.table_certificate import dense_signals, shift_of, table_loss
-from sightline.tdi.table_stretches import well_codes
+from sightline.tdi.table_kernels import ALL, FEASIBLE, bounds_of_blocks, good_settings
+from sightline.tdi.table_stretches import finer_codes, well_codes
 from tdi.tdi_example import field
 
 
@@ -311,3 +312,52 @@ def test_room_is_left_in_the_columns_in_which_the_bound_broke(monkeypatch):
     assert certificate.holds and len(tightened) == len(broken) - 1 > 0
     for columns, failed in zip(broken, tightened, strict=False):
         assert len(columns) and np.array_equal(columns, failed)
+
+
+@pytest.mark.parametrize("keep", [0.5, 0.999])
+def test_settings_are_good_that_keep_enough_at_both_ends_or_else_the_one_that_keeps_most(keep):
+    """70 settings, 3 columns, 4 stretches: merits that are any at either end, and no limits."""
+    rng = np.random.default_rng(11)
+    by_column, merits = rng.uniform(0.1, 1.0, (3, 70)), rng.uniform(0.1, 1.0, (8, 70)).astype(np.float32)
+    by_signal, (least, most) = merits.astype(float), np.empty((2, 1, 70))
+    bounds_of_blocks(by_signal, least, most)
+    merit = by_column[:, None] * by_signal
+    best, (bits, more) = merit.max(axis=2), np.empty((2, 3, 4, 2), np.uint64)
+    kind = np.empty((3, 4), np.uint8)
+    good_settings(
+        by_column, np.full((3, 70), 3, np.uint8), by_column, by_signal, least, most,
+        np.full((8, 70), 2, np.uint8), merits, np.zeros(8, np.intp), best, np.full((3, 8), ALL, np.uint8), keep,
+        bits, more, kind,
+    )  # fmt: skip
+    share = (merit / best[:, :, None]).reshape(3, 4, 2, 70).min(axis=2)
+    wanted = share >= keep
+    none = ~wanted.any(axis=2)
+    assert none.sum() > 6 if keep == 0.999 else 0 < wanted.sum() < wanted.size
+    wanted[none] = (share == share.max(axis=2, keepdims=True))[none]
+    found = (bits[..., None] >> np.arange(64, dtype=np.uint64)) & np.uint64(1)
+    np.testing.assert_array_equal(found.reshape(3, 4, 128)[..., :70].astype(bool), wanted)
+    np.testing.assert_array_equal(more, bits)
+    assert (kind == FEASIBLE).all()
+
+
+def test_stretches_in_which_the_bound_broke_and_those_beside_them_are_cut_in_four():
+    codes, where = np.array([0, 8, 20, 40, 80, 160, 400]), np.zeros(3, dtype=np.intp)
+    cut = {
+        0: (2, 4, 6),
+        8: (11, 14, 17),
+        20: (25, 30, 35),
+        40: (50, 60, 70),
+        80: (100, 120, 140),
+        160: (220, 280, 340),
+    }
+    for broken, stretches in (
+        ([25.5], (8, 20, 40)),
+        ([0.0], (0, 8)),
+        ([399.0], (80, 160)),
+        ([20.0], (8, 20, 40)),
+    ):
+        more = [code for first in stretches for code in cut[first]]
+        found = finer_codes(codes, (where[: len(broken)], np.array(broken)))
+        assert found.tolist() == sorted([*codes, *more])
+    # nothing is left to be cut between neighbours
+    assert finer_codes(np.array([5, 6]), (where[:1], np.array([5.0]))).tolist() == [5, 6]
