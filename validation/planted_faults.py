@@ -90,7 +90,8 @@ EQUIVALENT = {
     "stars_from_body = Rotation.from_rotvec(np.outer(t - t[1], rate)) * reference": "one turn before all",
     "seen = np.isfinite(pixels[:, 1])": "a pixel that is not seen is NaN in both",
     "i, j0, j1 = top - 3 + r, left - 3, left - 4 + count": "the end of a slice, which compiled code ignores",
-    "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "one phase where nothing is along the column",
+    "margin = 0.125 * np.ptp(values) + step": "a margin of a search",
+    "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "both are one phase along the row",
 }
 
 

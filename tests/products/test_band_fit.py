@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from sightline.imaging.source import ArrayImage
 from sightline.products.band_fit import WINDOW, BandFit, fit_bands, fit_points, lie_together
@@ -116,3 +117,22 @@ def test_coarse_pixels_are_sought_as_far_along_each_axis_as_asked(pair, shift, s
     moved = ArrayImage(np.roll(pair[0], shift, axis=(0, 1)))
     fit = fit_bands(ArrayImage(pair[0]), moved, (0, 1), search_px=search, factor=2)
     assert fit.mean_px == pytest.approx(shift, abs=0.05)
+
+
+def test_windows_are_kept_that_are_more_likely_true_than_anywhere():
+    """A normal density of each window's own sigmas against an even one; the share of true ones solved for."""
+    rng = np.random.default_rng(13)
+    sigma = np.concatenate([np.full((60, 2), 0.02), rng.uniform(0.3, 2.5, (120, 2))])
+    offset = np.concatenate([np.zeros((60, 2)), rng.uniform([-8.0, -12.0], [8.0, 12.0], (120, 2))])
+    offset[60:120] *= 0.4
+    density = np.exp(-0.5 * ((offset / sigma) ** 2).sum(axis=1)) / (2.0 * np.pi * sigma.prod(axis=1))
+    even = 1.0 / (18.0 * 26.0)  # searched 8 and 12 px to either side, and a pixel more
+
+    def true(share):
+        return share * density / (share * density + (1.0 - share) * even)
+
+    share = brentq(lambda p: true(p).mean() - p, 0.2, 0.9)
+    kept = lie_together(offset, sigma, (8, 12))
+    clear = np.abs(true(share) - 0.5) > 0.02
+    assert clear.sum() > 170 and 80 < kept.sum() < 150
+    np.testing.assert_array_equal(kept[clear], true(share)[clear] > 0.5)

@@ -12,10 +12,18 @@ from sightline.errors import EstimationError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.imaging.source import ArrayImage
+from sightline.products import ground_model
 from sightline.products.cube_bands import frame_bands, line_bands
 from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
-from sightline.products.cube_kernels import PHASES, cells_by_phase, fill_bands, place_weights, see_places
+from sightline.products.cube_kernels import (
+    PHASES,
+    cells_by_phase,
+    choose_views,
+    fill_bands,
+    place_weights,
+    see_places,
+)
 from sightline.products.cube_tally import CubePicture, picture_bands, picture_factor
 from sightline.products.frame_cube import FilledTile, FrameViews, MapTile, line_gain, map_outlines
 from sightline.products.ground_model import GroundModel, fit_ground
@@ -98,6 +106,18 @@ def test_wavelengths_asked_for_lie_within_half_a_band_of_the_lines():
         line_bands(nm, [600.0, 600.0])
 
 
+def test_bands_that_are_asked_for_close_together_part_their_lines_halfway():
+    """Lines 1 nm apart; bands of 90 lines would be 89.8 nm wide, of which neighbours leave less."""
+    nm = np.linspace(451.0, 900.0, 450)
+    asked = np.array([640.2, 500.4, 655.7, 530.1, 820.0])
+    layout = line_bands(nm, asked, step=60.0)
+    line = np.repeat(np.arange(450), np.diff(layout.offset))
+    for group, band in enumerate(asked):
+        own = line[(layout.entry_group == group) & ~layout.spare]
+        near = np.minimum(np.sort(np.abs(asked - band))[1], 89.8) / 2.0
+        assert own.tolist() == np.flatnonzero(np.abs(nm - band) <= near).tolist()
+
+
 def test_bands_of_whole_frames():
     mosaic = frame_bands((20, 20), np.array([[700.0, 500.0], [600.0, 400.0]]))
     assert mosaic.wavelength_nm.tolist() == [400.0, 500.0, 600.0, 700.0]
@@ -147,6 +167,32 @@ def test_a_surface_in_blocks_has_no_steps():
     assert model.heights.shape[1] > 200
     x = np.linspace(3.0, 297.0, 3000)
     assert np.abs(model.at(x, np.full(3000, 4.0)) - np.sin(x / 9.0)).max() < 0.05
+
+
+def test_each_block_of_a_surface_gives_the_nodes_that_are_its_own(monkeypatch):
+    """Any function of the place in place of what is solved: it comes back at all nodes, block after block."""
+    parts = []
+
+    def true(x, y):
+        return 0.3 * x - 0.7 * y + 0.01 * x * y
+
+    def solved(places, weight, part, stiffness):
+        west, south, step, shape = part
+        y, x = np.indices(shape)
+        parts.append(shape)
+        return true(west + step * x, south + step * y), np.zeros(len(places))
+
+    monkeypatch.setattr(ground_model, "_solve", solved)
+    rng, shape = np.random.default_rng(2), (301, 130)
+    places = np.column_stack(
+        [*rng.uniform([-5.0, 40.0], [-5.0 + 129 * 0.5, 40.0 + 300 * 0.5], (4000, 2)).T, np.zeros(4000)]
+    )
+    heights, inlier = ground_model._solve_blocks(places, np.ones(4000), (-5.0, 40.0, 0.5, shape), 1.0)
+    y, x = np.indices(shape)
+    assert heights == pytest.approx(true(-5.0 + 0.5 * x, 40.0 + 0.5 * y), abs=1e-9) and inlier.all()
+    # blocks of 96 nodes, the last with what is left, and 24 beside each where there are as many
+    rows, columns = (120, 144, 133, 37), (120, 58)
+    assert sorted(parts) == sorted((r, c) for r in rows for c in columns)
 
 
 def test_too_few_points_are_no_surface():
@@ -385,3 +431,59 @@ def test_the_picture_is_the_mean_of_tiles_and_its_window_where_all_its_bands_mee
     # limits of one's own: a hundredth of the pixels of each band lie beyond each
     own = picture.image()[1]
     assert own[0] == pytest.approx([31.0 + 0.01 * 267.0, 31.0 + 0.99 * 267.0], abs=3.0)
+
+
+def test_places_are_shown_by_the_frame_that_sees_them_best_line_after_line():
+    """Pinholes and the choice written out: two frames, two groups of bands, some lines that stand in."""
+    lines, columns, period, focal, principal = 24, 41, (2, 3), 60.0, (10.5, 21.0)
+    # entries of each line: (group, middle of the group, its half height, whether the line stands in)
+    entries = [[(0, 6.0, 7.5, False)] if k < 13 else [(1, 18.0, 5.5, False)] for k in range(lines)]
+    for k in (13, 14):
+        entries[k].append((0, 6.0, 7.5, True))
+    offset = np.concatenate([[0], np.cumsum([len(one) for one in entries])])
+    flat = [entry for one in entries for entry in one]
+    group, centre, half, spare = (np.array(part) for part in zip(*flat, strict=True))
+    # 7 by 9 places, heights unlike, on the ground under the frames; the box leaves some out
+    rng = np.random.default_rng(12)
+    north, east = np.meshgrid(np.linspace(9.0, -9.0, 7), np.linspace(-14.0, 15.0, 9), indexing="ij")
+    world = np.stack([east, north, rng.uniform(-2.0, 2.0, north.shape)], axis=-1)
+    box = np.array([1, 7, 0, 8])
+    cost, view = np.full((2, 7, 9), np.inf, np.float32), np.full((2, 7, 9), -1, np.int32)
+    beyond, passed, last = np.zeros((2, 7, 9), bool), np.zeros((2, 7, 9), bool), np.full((7, 9), np.nan)
+    written = {"cost": cost, "view": view, "beyond": beyond, "passed": passed, "last": last}
+    wanted = {name: one.copy() for name, one in written.items()}
+    frames = [([0.05, 0.02, -0.03], [1.0, 3.0, 50.0], 0.0), ([-0.02, 0.04, 0.06], [0.5, -1.5, 51.0], 0.3)]
+    for number, (turn, place, penalty) in enumerate(frames):
+        matrix = (Rotation.from_rotvec(turn) * Rotation.from_rotvec([np.pi, 0.0, 0.0])).as_matrix()
+        pinhole = matrix[None], np.array([place]), np.array([focal, *principal]), np.zeros(5)
+        choose_views(
+            *only_read(world), box, *only_read(*pinhole), 10.0, (lines, columns), period, offset, group,
+            *only_read(centre, half), spare, penalty, number, cost, view, beyond, last, passed,
+        )  # fmt: skip
+        for at in np.ndindex(7, 9):
+            if not (box[0] <= at[0] < box[1] and box[2] <= at[1] < box[3]):
+                continue
+            ray = matrix @ (world[at] - place)
+            line, column = principal[0] + focal * ray[1] / ray[2], principal[1] + focal * ray[0] / ray[2]
+            # a pixel of every cell of the filter, of 2 by 3, on all sides
+            if not (1.0 <= line <= lines - 2.0 and 2.0 <= column <= columns - 3.0):
+                wanted["last"][at] = np.nan
+                continue
+            aside = (column - 20.0) / 20.5
+            nearest, before = round(line), wanted["last"][at]
+            for g, middle, reach, stands_in in entries[nearest]:
+                worth = ((line - middle) / reach) ** 2 + aside**2 + penalty
+                if worth < wanted["cost"][g][at]:
+                    for name, value in (("cost", worth), ("view", number), ("beyond", stands_in)):
+                        wanted[name][g][at] = value
+            other = nearest if np.isnan(before) else round(before)
+            for k in range(min(nearest, other), max(nearest, other) + 1):
+                for g, _, _, stands_in in entries[k]:
+                    wanted["passed"][g][at] |= not stands_in
+            wanted["last"][at] = line
+    # float64 places of 50 m, costs in single precision
+    np.testing.assert_allclose(last, wanted["last"], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(cost, wanted["cost"], rtol=1e-5)
+    for found, name in ((view, "view"), (beyond, "beyond"), (passed, "passed")):
+        np.testing.assert_array_equal(found, wanted[name])
+    assert {-1, 0, 1} == set(view.ravel()) and 0 < beyond.sum() and not passed.all()

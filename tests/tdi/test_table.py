@@ -326,8 +326,8 @@ def test_settings_are_good_that_keep_enough_at_both_ends_or_else_the_one_that_ke
     kind = np.empty((3, 4), np.uint8)
     good_settings(
         by_column, np.full((3, 70), 3, np.uint8), by_column, by_signal, least, most,
-        np.full((8, 70), 2, np.uint8), merits, np.zeros(8, np.intp), best, np.full((3, 8), ALL, np.uint8), keep,
-        bits, more, kind,
+        np.full((8, 70), 2, np.uint8), merits, np.zeros(8, np.intp), best, np.full((3, 8), ALL, np.uint8),
+        keep, bits, more, kind,
     )  # fmt: skip
     share = (merit / best[:, :, None]).reshape(3, 4, 2, 70).min(axis=2)
     wanted = share >= keep
