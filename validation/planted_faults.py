@@ -90,6 +90,12 @@ EQUIVALENT = {
     "stars_from_body = Rotation.from_rotvec(np.outer(t - t[1], rate)) * reference": "one turn before all",
     "seen = np.isfinite(pixels[:, 1])": "a pixel that is not seen is NaN in both",
     "i, j0, j1 = top - 3 + r, left - 3, left - 4 + count": "the end of a slice, which compiled code ignores",
+    "guess = 0.625 * (lines - 1.0)": "a start of steps",
+    "guess = 0.5 * (lines + 1.0)": "a start of steps",
+    "guess = 0.5 * (lines - 1.25)": "a start of steps",
+    "middle, half = 0.5 * (low + high), 0.625 * (high - low)": "as true, over other stretches",
+    "inside = self._inside(start, rim) & self._inside(corner + half, half - 1)": "windows lie farther inside",
+    "if columns[0] <= column <= columns[0]:": "the other way to the same line",
     "margin = 0.125 * np.ptp(values) + step": "a margin of a search",
     "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "both are one phase along the row",
 }

@@ -63,7 +63,21 @@ def reference_fit(fa, fb, corner, centre, size, shift):
     h0 = 0.5 * (ga @ gb.T + gb @ ga.T)
     offset, level = g.sum(axis=1), gain * g @ vb
     curvature = h0 - np.outer(offset, offset) / len(va) - np.outer(level, level) / (va @ va)
-    return curvature, g @ r, g @ g.T, r @ r / (len(va) - 4), (va @ vb) / np.sqrt(va @ va * (vb @ vb))
+    by_column = np.stack([g * r, g * g]).reshape(2, 2, h, w).sum(axis=2)
+    correlation = (va @ vb) / np.sqrt(va @ va * (vb @ vb))
+    return curvature, g @ r, g @ g.T, r @ r / (len(va) - 4), correlation, block_variances(*by_column)
+
+
+def block_variances(score, squares):
+    """Variance of scores (2, columns) by blocks and their neighbours, and how much of it a fit leaves."""
+    width = score.shape[1]
+    count = min(5, max(3, width // 4))
+    edges = [width * q // count for q in range(count)]
+    score, squares = (np.add.reduceat(part, edges, axis=1) for part in (score, squares))
+    share = squares / squares.sum(axis=1, keepdims=True)
+    left = score - share * score.sum(axis=1, keepdims=True)
+    near = np.eye(count) + np.eye(count, k=1) + np.eye(count, k=-1)
+    return [(z @ near @ z, 1.0 - p @ near @ p) for z, p in zip(left, share, strict=True)]
 
 
 def refine(fa, fb, corner, centre, size, function=kernels.refine_windows, **options):
@@ -72,8 +86,8 @@ def refine(fa, fb, corner, centre, size, function=kernels.refine_windows, **opti
     none = np.zeros((0, 0), np.bool_)
     function(
         fa, fb, options.get("bad_a", none), options.get("bad_b", none), corner, centre,
-        options.get("linear", np.zeros((n, 2, 2))), np.zeros((n, 2)), size, kernel_table(),
-        options.get("parts", 1), 12, options.get("tolerance", 0.01), 1.5, out,
+        options.get("linear", np.zeros((n, 2, 2))), options.get("start", np.zeros((n, 2))), size,
+        kernel_table(), options.get("parts", 1), 12, options.get("tolerance", 0.01), 1.5, out,
     )  # fmt: skip
     return out
 
@@ -94,7 +108,7 @@ def test_the_fit_equals_the_plain_numpy_equations(smooth_pair, size):
     # a tolerance above any step ends the fit after its first evaluation, at shift zero
     got = refine(fa, fb, corner, centre, size, tolerance=1e9)[0]
     assert got[14] == 1
-    curvature, score, spread, variance, correlation = reference_fit(
+    curvature, score, spread, variance, correlation, blocks = reference_fit(
         fa, fb, corner[0], centre[0], size, np.zeros(2)
     )
     step = np.linalg.solve(curvature, score)
@@ -105,6 +119,24 @@ def test_the_fit_equals_the_plain_numpy_equations(smooth_pair, size):
     assert np.abs([[got[5], got[6]], [got[6], got[7]]] - spread).max() < 2e-3 * scale
     assert got[8] == pytest.approx(variance, rel=0.02)
     assert got[9] == pytest.approx(correlation, abs=2e-4)
+    # scores are sums of residuals, of which interpolation makes as much as of their variance
+    assert got[10:14].reshape(2, 2)[:, 1] == pytest.approx([share for _, share in blocks], abs=2e-3)
+    assert got[10:14].reshape(2, 2)[:, 0] == pytest.approx([value for value, _ in blocks], rel=0.05)
+
+
+def test_values_and_derivatives_of_a_window_are_those_of_nine_taps():
+    """By the compiled loop and by its Python body, of which the slices must end where they do."""
+    image = np.random.default_rng(5).normal(size=(22, 31)).astype(np.float32)
+    line, inside = np.r_[-D, 0.0, D[::-1]], (slice(6, 11), slice(9, 22))
+    expected = [
+        image.astype(float),
+        *(ndimage.correlate1d(image.astype(float), line, axis=k) for k in (0, 1)),
+    ]
+    for function in (kernels._gradients, plain(kernels._gradients)):
+        found = np.full((3, 5 * 13), np.nan, np.float32)
+        function(image, np.int64(6), np.int64(9), 5, 13, *found)
+        # eight products of numbers up to 4 in single precision
+        np.testing.assert_allclose(found.reshape(3, 5, 13), [one[inside] for one in expected], atol=5e-6)
 
 
 def test_the_compiled_fit_equals_its_python_body(smooth_pair):
@@ -199,12 +231,18 @@ def test_correlation_term_by_term_equals_that_by_fourier_transform():
     assert out[1, 2, 4] == pytest.approx(plain_value, abs=1e-5)
 
 
-def test_a_mask_of_the_other_image_lies_where_the_window_does(smooth_pair):
+@pytest.mark.parametrize(
+    "start", [(0.0, 0.0), (3.0, -4.0)], ids=["where it is expected", "where search led to"]
+)
+def test_a_mask_of_the_other_image_lies_where_the_window_does(smooth_pair, start):
     """Half the window's pixels masked in either image, shifts whole: the same pixels are left."""
     fa, fb = smooth_pair
-    corner, centre = np.array([[22, 25]]), np.array([[26.5, 76.5]])  # two columns to the right in b
+    corner = np.array([[22, 25]])
+    centre = np.array([[27.5, 76.5]]) - start  # a line down and two columns to the right in b
     bad = np.random.default_rng(0).random(fa.shape) < 0.5
-    other = np.roll(fb, 2, axis=1)
-    by_own = refine(fa, other, corner, centre, (10, 100), bad_a=bad)
-    by_other = refine(fa, other, corner, centre, (10, 100), bad_b=np.roll(bad, 2, axis=1))
+    other, moved = (np.roll(one, (1, 2), axis=(0, 1)) for one in (fb, bad))
+    by_own, by_other = (
+        refine(fa, other, corner, centre, (10, 100), start=np.array([start]), **mask)
+        for mask in ({"bad_a": bad}, {"bad_b": moved})
+    )
     assert np.isfinite(by_own).all() and np.array_equal(by_own, by_other)

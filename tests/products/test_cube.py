@@ -169,6 +169,20 @@ def test_a_surface_in_blocks_has_no_steps():
     assert np.abs(model.at(x, np.full(3000, 4.0)) - np.sin(x / 9.0)).max() < 0.05
 
 
+def test_points_stand_out_that_leave_their_ten_neighbours_by_nine_of_their_sigmas():
+    """Heights of heavy tails, each point against the ten nearest others written out."""
+    rng = np.random.default_rng(14)
+    places = np.column_stack([rng.uniform(0.0, [40.0, 25.0], (400, 2)), rng.standard_t(1.2, 400)])
+    apart = np.hypot(*(places[:, None, :2] - places[None, :, :2]).transpose(2, 0, 1))
+    off = places[np.argsort(apart, axis=1)[:, 1:11], 2] - places[:, 2:]
+    middle = np.median(off, axis=1)
+    # the median size of normal numbers is 0.67449 of their sigma
+    spread = np.median(np.abs(off - middle[:, None]), axis=1) / 0.6744898
+    wanted = np.abs(middle) > 9.0 * np.maximum(spread, np.median(np.abs(middle)) / 0.6744898)
+    assert 10 < wanted.sum() < 100
+    np.testing.assert_array_equal(ground_model._standing_out(places), wanted)
+
+
 def test_each_block_of_a_surface_gives_the_nodes_that_are_its_own(monkeypatch):
     """Any function of the place in place of what is solved: it comes back at all nodes, block after block."""
     parts = []
@@ -434,10 +448,10 @@ def test_the_picture_is_the_mean_of_tiles_and_its_window_where_all_its_bands_mee
 
 
 def test_places_are_shown_by_the_frame_that_sees_them_best_line_after_line():
-    """Pinholes and the choice written out: two frames, two groups of bands, some lines that stand in."""
+    """Pinholes and the choice written out: two frames, five groups of bands in turn, lines that stand in."""
     lines, columns, period, focal, principal = 24, 41, (2, 3), 60.0, (10.5, 21.0)
     # entries of each line: (group, middle of the group, its half height, whether the line stands in)
-    entries = [[(0, 6.0, 7.5, False)] if k < 13 else [(1, 18.0, 5.5, False)] for k in range(lines)]
+    entries = [[(k % 5, 6.0 + 3.0 * (k % 5), 7.5 - 0.5 * (k % 5), False)] for k in range(lines)]
     for k in (13, 14):
         entries[k].append((0, 6.0, 7.5, True))
     offset = np.concatenate([[0], np.cumsum([len(one) for one in entries])])
@@ -448,11 +462,11 @@ def test_places_are_shown_by_the_frame_that_sees_them_best_line_after_line():
     north, east = np.meshgrid(np.linspace(9.0, -9.0, 7), np.linspace(-14.0, 15.0, 9), indexing="ij")
     world = np.stack([east, north, rng.uniform(-2.0, 2.0, north.shape)], axis=-1)
     box = np.array([1, 7, 0, 8])
-    cost, view = np.full((2, 7, 9), np.inf, np.float32), np.full((2, 7, 9), -1, np.int32)
-    beyond, passed, last = np.zeros((2, 7, 9), bool), np.zeros((2, 7, 9), bool), np.full((7, 9), np.nan)
+    cost, view = np.full((5, 7, 9), np.inf, np.float32), np.full((5, 7, 9), -1, np.int32)
+    beyond, passed, last = np.zeros((5, 7, 9), bool), np.zeros((5, 7, 9), bool), np.full((7, 9), np.nan)
     written = {"cost": cost, "view": view, "beyond": beyond, "passed": passed, "last": last}
     wanted = {name: one.copy() for name, one in written.items()}
-    frames = [([0.05, 0.02, -0.03], [1.0, 3.0, 50.0], 0.0), ([-0.02, 0.04, 0.06], [0.5, -1.5, 51.0], 0.3)]
+    frames = [([0.05, 0.02, -0.03], [1.0, 3.0, 50.0], 0.0), ([0.02, 0.04, 0.06], [0.5, 1.5, 51.0], 0.3)]
     for number, (turn, place, penalty) in enumerate(frames):
         matrix = (Rotation.from_rotvec(turn) * Rotation.from_rotvec([np.pi, 0.0, 0.0])).as_matrix()
         pinhole = matrix[None], np.array([place]), np.array([focal, *principal]), np.zeros(5)
