@@ -21,9 +21,11 @@ from tests.photogrammetry.stereo_scene import (
 )
 
 from consistency import assert_consistent
+from sightline.compiled import only_read
 from sightline.errors import InputError
 from sightline.geometry.surface import Plane
 from sightline.photogrammetry.block.bundle import adjust, bound
+from sightline.photogrammetry.block.bundle_kernels import statistics
 from sightline.photogrammetry.block.descent import rotations_of
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.block.pose_noise import PoseNoise
@@ -354,3 +356,25 @@ def test_chi_square_counts_what_is_known_of_points():
             2.0 / found.degrees_of_freedom
         )
         assert found.degrees_of_freedom == 4 * 60 * 12 + 60 - 3 * 60 - 6
+
+
+def test_residuals_are_judged_along_and_across_what_their_own_point_leaves_of_them():
+    """Their covariance written out: less by how its point follows a sighting, more where that is left out."""
+    rng, n = np.random.default_rng(15), 40
+    rows, r = rng.normal(size=(n, 2, 9)), rng.normal(size=(n, 2))
+    root = 0.35 * rng.normal(size=(6, 3, 3))
+    inverse, point = root @ root.transpose(0, 2, 1), rng.integers(0, 6, n)
+    weight = np.where(np.arange(n) % 3 == 0, 0.0, 1.0)
+    out, checked, freedom = np.empty((3, n))
+    statistics(rows, weight, *only_read(point), inverse, r, 0.2, out, checked, freedom)
+    own = rows[:, :, 6:]
+    covariance = np.eye(2) + (1.0 - 2.0 * weight)[:, None, None] * (
+        own @ inverse[point] @ own.transpose(0, 2, 1)
+    )
+    value, direction = np.linalg.eigh(covariance)
+    along = np.einsum("nik,ni->nk", direction, r)
+    seen = value > 0.2
+    assert 0.2 < seen.mean() < 0.95
+    np.testing.assert_allclose(out, np.where(seen, along**2 / value, 0.0).sum(axis=1), rtol=1e-9)
+    np.testing.assert_array_equal(checked, seen.all(axis=1))
+    np.testing.assert_allclose(freedom, np.trace(covariance, axis1=1, axis2=2), rtol=1e-12)

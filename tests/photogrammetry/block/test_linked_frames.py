@@ -17,7 +17,7 @@ from sightline.photogrammetry.block.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.block.reduced import Curvature, PointsFirst
 from sightline.photogrammetry.flight import poses as frame_poses
 from sightline.photogrammetry.flight.poses import FramePoses, RoughPoses, adjust_frames, frame_unknowns
-from sightline.photogrammetry.flight.solving_order import one_band, solving_order
+from sightline.photogrammetry.flight.solving_order import _far_pairs, one_band, solving_order
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames
 
 HEIGHT, FOCAL, SHAPE = 100.0, 400.0, (256, 320)
@@ -202,3 +202,14 @@ def test_a_single_line_stays_one_band_in_order_of_time():
     order = solving_order(flight.images, flight.tracks)
     assert order.last is None
     np.testing.assert_array_equal(order.rank, np.arange(FRAMES))
+
+
+def test_frames_far_apart_are_those_that_a_point_is_in_but_not_followed_between():
+    rng = np.random.default_rng(3)
+    point = np.sort(rng.integers(0, 9, 60))
+    frame, run = rng.integers(0, 12, 60), np.cumsum(rng.random(60) < 0.5)
+    wanted = {
+        (int(frame[i]), int(frame[j]))
+        for j in range(60) for i in range(j) if point[i] == point[j] and run[i] != run[j]
+    }  # fmt: skip
+    assert _far_pairs(frame, point, run).tolist() == sorted(map(list, wanted))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,7 +16,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.flight.poses import RoughPoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
-from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines, line_poses
+from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines, first_line_pixels, line_poses
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames
 
 RATE, READOUT, SHAPE, FOCAL = 25.0, 0.02, (240, 320), 300.0
@@ -79,6 +80,23 @@ def test_a_short_turn_between_two_lines_is_no_part_of_either():
     moved, _ = line_poses(strafe, image, delay, linked)
     alone, _ = line_poses(images(), np.arange(40), delay[:40])
     assert np.abs(moved[:40] - alone).max() < 1e-9
+
+
+def test_pixels_go_back_by_how_frames_shift_turn_and_grow_while_lines_are_exposed():
+    """Rates are means of the motions from the frame before and to the next; lines turn towards columns."""
+    rng, count, step = np.random.default_rng(6), 5, 0.125
+    motion = rng.uniform(-1.0, 1.0, (count, 4)) * [9.0, 6.0, 0.05, 0.04]
+    motion[0] = np.nan
+    followed = SimpleNamespace(before=np.arange(count) - 1, motion=motion)
+    image, pixels = np.repeat(np.arange(count), 3), rng.uniform(0.0, [239.0, 319.0], (15, 2))
+    found = first_line_pixels(image, pixels, followed, step * np.arange(count), READOUT, SHAPE)
+    for k, (line, column), back in zip(image, pixels, found, strict=True):
+        rate = np.mean([motion[n] / step for n in (k, k + 1) if 0 < n < count], axis=0)
+        shift, turn, growth = rate[:2], *rate[2:]
+        per_second = shift + np.array([[growth, -turn], [turn, growth]]) @ ([line, column] - MIDDLE)
+        np.testing.assert_allclose(
+            back, [line, column] - READOUT * line / 239.0 * per_second, rtol=0.0, atol=1e-9
+        )
 
 
 def test_a_lone_frame_does_not_move():

@@ -7,7 +7,13 @@ import pytest
 from tests.photogrammetry.steady_flight import steady
 
 from sightline.errors import InputError
-from sightline.photogrammetry.flight.subset import Subset, chained, choose_subset, motion_overlap
+from sightline.photogrammetry.flight.subset import (
+    Subset,
+    _relative_sharpness,
+    chained,
+    choose_subset,
+    motion_overlap,
+)
 
 SHAPE = (200, 300)
 
@@ -93,3 +99,14 @@ def test_a_stride_takes_every_so_many():
 def test_overlap_must_make_sense():
     with pytest.raises(InputError, match="overlap"):
         chosen(steady(5, 4.0), overlap=1.0)
+
+
+def test_sharpness_is_judged_by_the_frame_itself_and_eight_to_either_side():
+    sharpness = np.random.default_rng(4).uniform(0.2, 3.0, 60)
+    sharpness[[5, 6, 30]] = np.nan
+    sharpness[40:] = np.nan  # of the last ones none is known
+    found = _relative_sharpness(sharpness)
+    for k in range(60):
+        known = [one for j, one in enumerate(sharpness) if abs(j - k) <= 8 and np.isfinite(one)]
+        expected = sharpness[k] / np.median(known) if known else np.nan
+        assert found[k] == pytest.approx(expected, rel=1e-12, nan_ok=True)

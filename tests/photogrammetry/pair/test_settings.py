@@ -66,6 +66,8 @@ def test_a_plan_lays_points_evenly_over_a_level_square_along_the_track():
     # a square turned with the track: its rows reach from side to side, and every quarter has its share
     flat = np.stack([off @ along, off @ np.cross(up, along)], axis=1) / side
     assert np.abs(flat).max() == pytest.approx(0.5, abs=0.01)
+    # one after the other along the track; the Earth's curvature takes some ten-thousandths
+    np.testing.assert_allclose(flat[:, 0], (np.arange(200) + 0.5) / 200 - 0.5, rtol=0.0, atol=1e-3)
     assert np.histogram2d(*flat.T, bins=4, range=[[-0.5, 0.5]] * 2)[0] == pytest.approx(12.5, abs=3.0)
     np.testing.assert_allclose(to_geodetic(setting.places, given.pair.radii)[:, 2], 0.0, atol=1e-6)
     assert set(setting.sigma_px) == {0.3} and setting.shots == 16
