@@ -310,6 +310,19 @@ def test_constants_are_hidden_and_a_drift_only_where_its_sigma_stands_out():
     np.testing.assert_allclose(without(loose, directions, SCALE), 0.0, atol=1e-12)
 
 
+def test_a_drift_is_hidden_by_what_is_left_of_its_own_axis():
+    """Noise of 1, 5 and 0.2 hundredths of a px: a drift of 2 hundredths stands out of that of yaw alone."""
+    n, u = 6, np.linspace(-1.0, 1.0, 6)
+    noise = np.array([0.01, 0.05, 0.002]) * SCALE
+    covariance = np.diag(np.tile(noise**2, n))
+    for axis in range(3):
+        loose = np.zeros((n, 3))
+        loose[:, axis] = 0.02 * SCALE[axis] * u
+        covariance += np.outer(loose.ravel(), loose.ravel())
+    _, names = hidden_directions(covariance, 3.0 + 0.4 * u, SCALE)
+    assert names[3:] == ("drift of yaw",)
+
+
 def test_a_lens_field_passes_through_its_nodes_and_learns_its_size():
     field = LensField((200, 300), 0.1, 60.0)
     np.testing.assert_allclose(field.weights(field.nodes), np.eye(len(field.nodes)), atol=1e-5)

@@ -11,7 +11,7 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.matching.whitening import Whitening
-from sightline.motion.measure.uneven_blur import displacement
+from sightline.motion.measure.uneven_blur import _slopes_of_stages, displacement
 
 PERIOD, STAGES = 5e-4, 16
 T = np.arange(-100, 500) * PERIOD
@@ -200,3 +200,38 @@ def test_a_filter_takes_blur_that_grows_from_line_to_line_for_a_displacement():
     assert np.abs(whole - lopsided).max() > 5e-4
     # the next order of the product of filter and blur is left
     assert_allclose(shift[:, 0], whole, atol=1e-4)
+
+
+def test_the_pull_at_a_shift_changes_with_stages_as_its_derivatives_say():
+    """Frequencies times the imaginary part of what a filter shows, of second order in the changes."""
+    rng, stages = np.random.default_rng(7), 3
+    y, x = 2.0 * np.pi * np.fft.fftfreq(7), 2.0 * np.pi * np.fft.rfftfreq(10)[:5]
+    by_y, by_x = (part.ravel() for part in np.meshgrid(y, x, indexing="ij"))
+    first, second = rng.normal(size=(2, 35))
+    pull = rng.normal(size=35) + 1j * rng.normal(size=35)
+    moved = rng.uniform(-0.6, 0.6, (stages, 3, 2))
+
+    def pulled(place, change, bend):
+        along = [by_y * one[0] + by_x * one[1] for one in (place, change, bend)]
+        # a filter of slopes takes i d / dt, and half of - d^2 / dt^2, of exp(i phase)
+        shown = 1.0 - first * along[1] - 0.5 * second * (1j * along[2] - along[1] ** 2)
+        each = (pull * np.exp(1j * along[0]) * shown).imag
+        return np.array([each @ by_y, each @ by_x])
+
+    out, rooms = np.empty((stages, 3, 3)), (np.empty(4, complex), np.empty(5, complex))
+    plain = getattr(_slopes_of_stages, "py_func", _slopes_of_stages)
+    plain(moved, stages, y, x, np.stack([first, second], axis=1), pull, *rooms, out)
+    h = 1e-5
+    for s in range(stages):
+        for order in range(3):
+            slope = np.empty((2, 2))
+            for axis in range(2):
+                ends = []
+                for sign in (1.0, -1.0):
+                    at = moved[s].copy()
+                    at[order, axis] += sign * h
+                    ends.append(pulled(*at))
+                slope[axis] = (ends[0] - ends[1]) / (2.0 * h)
+            # central differences: h^2 and rounding / h, of sums of 35 numbers of some ten
+            assert_allclose(out[s, order], [slope[0, 0], slope[0, 1], slope[1, 1]], rtol=0.0, atol=1e-6)
+            assert_allclose(slope[0, 1], slope[1, 0], rtol=0.0, atol=1e-6)

@@ -22,7 +22,7 @@ from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.frames.matches import FrameStar
 from sightline.motion.frames.ties import FrameTies
 from sightline.motion.sensors import AttitudeSensor
-from sightline.motion.spin.matches import strip_pairs
+from sightline.motion.spin.matches import LEAST_LINES, strip_pairs
 from sightline.motion.spin.report import at_camera, findings
 from sightline.motion.spin.solve import (
     SPIN_NAMES,
@@ -127,6 +127,37 @@ def solved(request):
     surface = Ellipsoid(RADIUS, RADIUS)
     unknowns = unknowns_of(frames, spin, surface, heights=2e4)
     return truth, solve_spin(stars, unknowns, surface, pairs, steps=3)
+
+
+def test_strips_share_the_lines_of_the_middle_column_that_both_see():
+    """The axis is nearly along the view: lines turn by 0.09 from one exposure to the next."""
+    axis, focal, lines = np.array([0.8, 0.1, 2.0]), 900.0, (110.0, 30.0, -45.0)
+    truth = SpinningCamera(focal, 180.0, lines, axis, -0.1, np.zeros((2, 3)), attitude())
+    spin = Spin(
+        Rotation.from_matrix(attitude()), axis / np.linalg.norm(axis), -0.1 / INTERVAL, 0.0, 0.01, 1e-3
+    )
+    trajectory = spin.trajectory(np.array([0.0, INTERVAL]), np.zeros((2, 3)), (0.0, INTERVAL))
+    frames = [
+        Frame(
+            f"{exposure} {strip}", ArrayImage(np.zeros((70, 361), np.float32)),
+            FrameCamera(
+                AreaDetector("camera", (70, 361), focal, (lines[strip], 180.0)), trajectory,
+                FixedMount(Rotation.identity()), INTERVAL * exposure,
+            ),
+            0.0, exposure, strip,
+        )
+        for exposure in range(2) for strip in range(3)
+    ]  # fmt: skip
+    wanted = {}
+    for hub in range(3):
+        look = truth.directions(0, hub, np.arange(70.0), np.full(70, 180.0))
+        for partner in range(3):
+            seen = truth.pixel(1, partner, look)[:, 0]
+            shared = int(((seen >= 0.0) & (seen <= 69.0)).sum())
+            if shared >= LEAST_LINES:
+                wanted[hub, partner, 1] = shared
+    found = {(pair.hub, pair.partner, pair.lag): pair.lines for pair in strip_pairs(frames)}
+    assert found == wanted and {0 < lines < 70 for lines in wanted.values()} == {True}
 
 
 def test_constants_lie_within_their_sigma(solved):

@@ -619,3 +619,18 @@ def test_only_motion_that_stages_leave_much_of_is_plainly_seen() -> None:
     assert np.abs(kept - slow)[50:-50].max() < 0.05
     without = SimpleNamespace(nominal=[SimpleNamespace(stages=None)], grid=strip.grid)
     assert_allclose(estimates.plainly_seen(without, slow), slow)
+
+
+@pytest.mark.parametrize("largest", [0, 1, 2])
+def test_motions_that_are_held_alike_are_a_third_of_the_largest_in_pixels(largest):
+    scale, length, f = np.array([1e-6, 3e-6, 8e-5]), 2.0, np.geomspace(0.1, 200.0, 30)
+    sizes = np.where(np.arange(3) == largest, 6.0, 0.01)  # px
+    model = PriorModel(tuple(
+        Spectrum((Matern(size * s, 0.5, "5/2"), Matern(0.1 * size * s, 0.01, "3/2")))
+        for size, s in zip(sizes, scale, strict=True)
+    ))  # fmt: skip
+    alike = model.alike(scale, length)
+    whole = model.spectra[largest].psd(f) / scale[largest] ** 2
+    for axis in range(3):
+        share = 1.0 if axis == largest else 1.0 / 9.0
+        assert_allclose(alike.spectra[axis].psd(f) / scale[axis] ** 2, share * whole, rtol=1e-9)

@@ -1,6 +1,7 @@
 """One likelihood of three axes: against a dense Gaussian, its slope, and jitter that no axis shows alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from sightline.estimation.evidence import EvenRate
 from sightline.estimation.prior import NUGGET, Matern, Spectrum, Tone
 from sightline.motion.strip.joint import JointPrior
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid
-from sightline.motion.strip.tied_axes import TiedEvidence, fit_tied
+from sightline.motion.strip.tied_axes import TiedEvidence, _within, fit_tied
 
 STEP = 0.004
 SPECTRA = (
@@ -165,3 +166,16 @@ def test_rows_beyond_the_memory_do_not_matter_for_weights_of_jumps():
     plain = evidence_of(equations(rows, beside, rng.standard_normal(len(rows))), 12, statics=(1.0, 1.0))
     same = replace(plain, prior=replace(plain.prior, innovation_weights=loose))
     assert_allclose(same.value_and_slope(SPECTRA, (0,))[1][0], plain.value_and_slope(SPECTRA, (0,))[1][0])
+
+
+def test_matches_are_within_a_grid_that_holds_the_exposures_at_both_their_instants():
+    """Nodes from 2.0 to 2.6 s, exposures of 0.04 s: instants from 2.02 to 2.58 s."""
+    t_hub = np.array([2.03, 2.01, 2.3, 2.57, 2.59, 2.3])
+    t = np.stack([t_hub + 0.005, t_hub - 0.015, [2.31, 2.29, 2.585, 2.4, 2.5, np.nan]], axis=1)
+    star = SimpleNamespace(
+        longest=0.04, t_hub=t_hub, t=t, weight=np.full(t.shape, 0.7), with_weight=np.asarray
+    )
+    both = np.stack([np.broadcast_to(t_hub[:, None], t.shape), np.where(np.isnan(t), t_hub[:, None], t)])
+    wanted = ((both >= 2.02) & (both <= 2.58)).all(axis=0)
+    assert 0 < wanted.sum() < wanted.size and not wanted[:, :2].all() and not wanted[:, 2].all()
+    assert_allclose(_within(star, TimeGrid(2.0, 0.01, 61)), np.where(wanted, 0.7, 0.0))
