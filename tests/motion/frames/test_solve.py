@@ -312,14 +312,14 @@ def test_constants_are_hidden_and_a_drift_only_where_its_sigma_stands_out():
 
 def test_a_drift_is_hidden_by_what_is_left_of_its_own_axis():
     """Noise of 1, 5 and 0.2 hundredths of a px: a drift of 2 hundredths stands out of that of yaw alone."""
-    n, u = 6, np.linspace(-1.0, 1.0, 6)
-    noise = np.array([0.01, 0.05, 0.002]) * SCALE
+    n, u, scale = 6, np.linspace(-1.0, 1.0, 6), PIXEL * np.array([1.0, 1.3, 0.8])
+    noise = np.array([0.01, 0.05, 0.002]) * scale
     covariance = np.diag(np.tile(noise**2, n))
     for axis in range(3):
         loose = np.zeros((n, 3))
-        loose[:, axis] = 0.02 * SCALE[axis] * u
+        loose[:, axis] = 0.02 * scale[axis] * u
         covariance += np.outer(loose.ravel(), loose.ravel())
-    _, names = hidden_directions(covariance, 3.0 + 0.4 * u, SCALE)
+    _, names = hidden_directions(covariance, 3.0 + 0.4 * u, scale)
     assert names[3:] == ("drift of yaw",)
 
 
