@@ -10,13 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from sightline.applications import line_of_sight
 from sightline.cli.main import run
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import remove_directions, score_result
+from sightline.geometry.trajectory import Motion
 from sightline.io.formats.tables import read_motion
+from sightline.motion.strip import methods
 from sightline.motion.strip.hyper import KnownContent, window_means
 from sightline.motion.strip.methods import by_method
 from sightline.motion.strip.normal_equations import TimeGrid
@@ -82,6 +85,24 @@ def test_sigma_is_true_and_the_error_is_the_departure_from_the_joint_estimate(re
         # error of the method = departure + error of the joint estimate, and rms is a norm
         assert abs(one.rms - apart[k]) <= joint[axis].rms * 1.001
         assert abs(one.nees - 1.0) < 5.0 * math.sqrt(2.0 / one.effective_samples) + 0.2, (method, axis)
+
+
+def test_sigma_of_a_method_is_turned_from_the_axes_of_the_estimate_to_those_of_the_body(
+    recovery, monkeypatch
+):
+    strip, state, result = recovery.solved
+    turn = Rotation.from_rotvec([0.4, -0.7, 0.9]).as_matrix()
+    root = np.array([[3.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [0.5, 1.5, 1.0]]) * 1e-7
+    covariance = root @ root.T
+
+    def estimated(method, differences, t, state):
+        return Motion(t, np.zeros((len(t), 3)), np.tile(covariance, (len(t), 1, 1)))
+
+    monkeypatch.setattr(methods, "_estimated", estimated)
+    found = by_method(replace(strip, turn=turn), state, result, "inverse")
+    # about each axis of the body: a row of the turn there and back
+    sigma = [np.sqrt(row @ covariance @ row) for row in turn]
+    assert_allclose(found.method.stated_sigma, np.tile(sigma, (len(result.motion.t), 1)), rtol=1e-9)
 
 
 def test_what_each_method_leaves_out_shows(recovery, truth, found):
