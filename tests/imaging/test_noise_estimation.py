@@ -255,3 +255,17 @@ def test_noise_at_rest_is_what_a_spline_leaves_by_its_degrees_of_freedom():
     alone = resting_noise(codes[:, :1], table, pieces).pooled
     assert alone.value == pytest.approx(found.each[0].value, rel=1e-9)
     assert alone.sigma == pytest.approx(np.hypot(found.each[0].sigma, 0.015 * alone.value), rel=1e-6)
+
+
+@pytest.mark.parametrize("steps", [0.7, 1.0, 3.0])
+def test_noise_at_rest_of_a_step_and_more_is_found(steps):
+    rng, edges = np.random.default_rng(13), 2.0 * np.arange(200)
+    values = (
+        200.0 + 30.0 * np.linspace(0.0, 1.0, 1000)[:, None] + 2.0 * steps * rng.standard_normal((1000, 8))
+    )
+    found = resting_noise(np.floor(values / 2.0).astype(np.uint8), CodeTable(edges[:-1], edges[1:]))
+    # a column tells it to 1 / sqrt(2000); the allowance's bias is 1.5 %
+    assert [one.value for one in found.each] == pytest.approx(
+        np.full(8, 2.0 * steps), rel=4.0 / 2000**0.5 + 0.03
+    )
+    assert abs(found.pooled.value - 2.0 * steps) < 3.0 * found.pooled.sigma

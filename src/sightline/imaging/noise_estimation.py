@@ -165,7 +165,10 @@ def _ordered_probit(
     basis = _spline_basis(lines, pieces)
     lower, upper = table.lower[codes], table.upper[codes]
     step = float(np.median(upper - lower))
-    start = np.linalg.lstsq(basis, 0.5 * (lower + upper), rcond=None)[0]
+    middle = 0.5 * (lower + upper)
+    start = np.linalg.lstsq(basis, middle, rcond=None)[0]
+    # of far less than the noise there is no code far from the level could have come, and no step leads on
+    begin = max(float(np.sqrt(np.mean((middle - basis @ start) ** 2))), step / 4.0)
 
     def cost(unknowns: Array) -> tuple[float, Array]:
         level, sigma = basis @ unknowns[:-1], np.exp(unknowns[-1])
@@ -176,7 +179,7 @@ def _ordered_probit(
 
     found = minimize(
         cost,
-        np.append(start, np.log(step / 4.0)),
+        np.append(start, np.log(begin)),
         jac=True,
         method="L-BFGS-B",
         bounds=[(None, None)] * basis.shape[1] + [(np.log(LEAST_STEP * step), None)],
