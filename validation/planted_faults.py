@@ -96,6 +96,11 @@ EQUIVALENT = {
     "middle, half = 0.5 * (low + high), 0.625 * (high - low)": "as true, over other stretches",
     "inside = self._inside(start, rim) & self._inside(corner + half, half - 1)": "windows lie farther inside",
     "if columns[0] <= column <= columns[0]:": "the other way to the same line",
+    "return np.asarray(1.25 / np.sqrt(spread))": "known up to a common factor",
+    "span = grid.window[1] / (2.5 * math.sqrt(3.0))": "a slope, over another chord",
+    "g_low = p[0] * plane_low[0] + p[1] * plane_low[1] + p[1] * plane_low[2] - plane_low[3]": (
+        "the other way to the same line"
+    ),
     "margin = 0.125 * np.ptp(values) + step": "a margin of a search",
     "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "both are one phase along the row",
 }

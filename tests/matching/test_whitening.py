@@ -91,6 +91,17 @@ def test_tiles_of_b_lie_under_those_of_a_by_the_affine():
         assert b[0][k] == pytest.approx(seen @ [10.0, 1.0], abs=0.1)
 
 
+def test_tiles_lie_within_the_first_image_whatever_the_size_of_the_second():
+    rng, size, reach = np.random.default_rng(6), (16, 20), (3, 2)
+    large, small = (ArrayImage(rng.normal(size=shape).astype(np.float32)) for shape in ((150, 170), (80, 90)))
+    within, beyond = np.array([[40.5, 44.5]]), np.array([[120.5, 130.5]])
+    still = np.zeros((1, 2, 2))
+    for a, b, counts in ((large, small, (1, 1)), (small, large, (1, 0))):
+        for point, count in zip((within, beyond), counts, strict=True):
+            tiles_a, tiles_b = _tiles((a, b), point, within, still, size, reach)
+            assert len(tiles_a) == len(tiles_b) == count
+
+
 def test_a_smooth_spectrum_is_known_beyond_where_it_was_measured():
     """Logarithms of sixth order in the squares of frequencies, from their values at low ones."""
     fy, fx = np.meshgrid(np.fft.fftfreq(24), np.fft.rfftfreq(40), indexing="ij")

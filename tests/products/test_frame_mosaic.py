@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,7 +18,7 @@ from sightline.geometry.surface import Ellipsoid, Infinity
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Frame
 from sightline.products import frame_mosaic as module
-from sightline.products.frame_mosaic import BeforeSky, CloudLayer, frame_mosaic
+from sightline.products.frame_mosaic import GRID, BeforeSky, CloudLayer, _grid, frame_mosaic
 
 FOCAL, LINES, COLUMNS, EXPOSURES, TURN = 400.0, 48, 90, 5, -0.08
 AXIS_LINES = (70.0, 10.0)
@@ -117,3 +119,11 @@ def test_strips_fade_towards_their_first_and_last_lines(shape):
     assert np.all(weight == weight[:, :1])
     assert weight[0, 0] == np.float32(0.01) and np.all(weight[9:31] == 1.0)
     assert np.all(np.diff(weight[3:9, 0]) > 0.1)
+
+
+def test_a_strip_is_looked_at_evenly_from_corner_to_corner():
+    camera = SimpleNamespace(shape=(31, 77))
+    pixels = _grid(camera).reshape(GRID, GRID, 2)
+    assert pixels[0, 0].tolist() == [0.0, 0.0] and pixels[-1, -1].tolist() == [30.0, 76.0]
+    assert np.diff(pixels[..., 0], axis=0) == pytest.approx(30.0 / (GRID - 1))
+    assert np.diff(pixels[..., 1], axis=1) == pytest.approx(76.0 / (GRID - 1))

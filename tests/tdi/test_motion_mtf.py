@@ -299,6 +299,16 @@ def test_merit_between_groups_is_that_of_every_column(merit, quantile):
     assert_allclose(found.robust_merit(part, rules), every_column, rtol=2e-3, atol=1e-5)
 
 
+def test_a_column_has_the_merit_alone_that_it_has_among_others():
+    doubt = np.diag([1e-3, 2e-3]) ** 2
+    known, options = MotionKnowledge(wavy(fine=1)), {"draws": 4, "starts": 2}
+    among = model(known, covariance=np.tile(doubt, (3, 1, 1)), **options).robust_merit(slice(0, 3), RULES)
+    for place, column in ((0, 0), (2, 800)):
+        alone = model(known, columns=(column,), covariance=doubt[None], **options)
+        # nodes are kept as 32-bit numbers
+        assert_allclose(alone.robust_merit(slice(0, 1), RULES)[0], among[place], rtol=1e-5)
+
+
 def test_lines_are_spread_over_the_strip_and_each_draw_has_its_own():
     t = np.linspace(-0.02, 0.25, 541)
     direction, variance = np.ones((541, 3, 1)), np.array([[1e-12]])
