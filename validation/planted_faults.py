@@ -101,6 +101,8 @@ EQUIVALENT = {
     "g_low = p[0] * plane_low[0] + p[1] * plane_low[1] + p[1] * plane_low[2] - plane_low[3]": (
         "the other way to the same line"
     ),
+    "time = ((t + t.mean()) / (float(np.ptp(t)) or 1.0))[pairs.shot]": "the same slopes from another time",
+    "places = np.linspace(step, max(camera.lines - 1.25 - step, step), GROUND_PLACES)": "which lines are asked",
     "margin = 0.125 * np.ptp(values) + step": "a margin of a search",
     "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "both are one phase along the row",
 }

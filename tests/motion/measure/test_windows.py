@@ -17,7 +17,8 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.imaging.source import ArrayImage
-from sightline.motion.measure.laid_strips import exposed
+from sightline.motion.measure import laid_strips
+from sightline.motion.measure.laid_strips import exposed, finest_view
 from sightline.motion.measure.windows import (
     brightest_parts,
     exposure_times,
@@ -172,3 +173,21 @@ class TestBrightestParts:
         bright = brightest_parts(ArrayImage(pixels), grid).reshape(grid.shape)
         # ten of the 12 or 13 columns of one part
         assert bright[2, 0] > 250.0 and (np.delete(bright, 2, axis=0) == 100.0).all()
+
+
+def test_the_finest_view_is_the_fine_image_that_sees_most_windows(monkeypatch):
+    """Images 1 and 2 are finer than the hub; each sees windows from a column on."""
+
+    def camera(first: float) -> SimpleNamespace:
+        def project(ground):
+            return np.where(ground[:, 1:] >= first, ground, np.nan)
+
+        return SimpleNamespace(project=project, locate=lambda centres, surface: centres)
+
+    monkeypatch.setattr(laid_strips, "groups_of_pixels", lambda cameras: (0, 1, 1))
+    grid = window_grid((100, 330), (10, 100), 20)
+    coarse, some, most, none = camera(0.0), camera(200.0), camera(100.0), camera(400.0)
+    assert finest_view([coarse, some, most], Plane(), 0, grid) == 2
+    assert finest_view([coarse, most, some], Plane(), 0, grid) == 1
+    assert finest_view([coarse, none, none], Plane(), 0, grid) is None
+    assert finest_view([coarse, some, most], Plane(), 2, grid) is None

@@ -634,3 +634,16 @@ def test_motions_that_are_held_alike_are_a_third_of_the_largest_in_pixels(larges
     for axis in range(3):
         share = 1.0 if axis == largest else 1.0 / 9.0
         assert_allclose(alike.spectra[axis].psd(f) / scale[axis] ** 2, share * whole, rtol=1e-9)
+
+
+def test_modes_that_stages_average_away_are_looked_for_at_half_the_resolution():
+    """0.6 s of nodes a ms apart, stages over 16 ms: nothing is left about multiples of 62.5 Hz."""
+    estimate = SimpleNamespace(grid=TimeGrid(0.0, STEP, 601))
+    pieces, length, f = hidden._averaged_away(estimate, (0.0, 0.6), (16e-3,))
+    assert length == pytest.approx((pieces[0].stop - pieces[0].start - 1) * STEP)
+    steps = np.diff(f) * length
+    # on a grid of halves, with gaps where stages leave something
+    assert_allclose(steps, 0.5 * np.round(2.0 * steps), atol=1e-6)
+    assert np.median(steps) == pytest.approx(0.5)
+    assert_allclose(f * length, 0.5 * np.round(2.0 * f * length), atol=1e-6)
+    assert hidden._averaged_away(estimate, (0.0, 0.6), ())[2].size == 0
