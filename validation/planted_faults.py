@@ -102,7 +102,7 @@ EQUIVALENT = {
         "the other way to the same line"
     ),
     "time = ((t + t.mean()) / (float(np.ptp(t)) or 1.0))[pairs.shot]": "the same slopes from another time",
-    "places = np.linspace(step, max(camera.lines - 1.25 - step, step), GROUND_PLACES)": "which lines are asked",
+    "places = np.linspace(step, max(camera.lines - 1.25 - step, step), GROUND_PLACES)": "a start of lines",
     "margin = 0.125 * np.ptp(values) + step": "a margin of a search",
     "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "both are one phase along the row",
 }
