@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from motion.strips import plain_star
+from sightline.motion.measure import consensus
 from sightline.motion.measure.consensus import ground_weights
 from sightline.motion.measure.observations import Star
 
@@ -37,6 +39,29 @@ def seeing_heights(star: Star) -> Star:
     lag = star.t - star.t_hub[:, None]
     by_height = np.stack([-0.01 * lag, np.zeros_like(lag)], axis=-1)
     return replace(star, by_height=by_height.astype(np.float32))
+
+
+def test_rows_of_a_long_star_are_judged_in_parts_with_rows_beside_them(monkeypatch):
+    star, row = star_of(2), np.arange(float(ROWS))
+    least = np.repeat(row[:, None], BLOCKS, axis=1)
+    post = np.broadcast_to(row.repeat(BLOCKS)[:, None, None], (ROWS * BLOCKS, 2, 2))
+    reach, parts = 2 * consensus._reaches(star)[-1], []
+
+    def near(part, own, least, relief_sigma, cloudy):
+        parts.append((int(least[0, 0]), int(least[-1, 0])))
+        assert part.shape == least.shape == (len(own) // BLOCKS, BLOCKS)
+        assert (own == least.reshape(-1, 1, 1)).all()
+        return least + 0.5, least[0, 0] == 0.0
+
+    monkeypatch.setattr(consensus, "_foreign_near", near)
+    monkeypatch.setattr(consensus, "MOST_ROWS", 40)
+    monkeypatch.setattr(consensus, "HALO", 2)
+    found, told = consensus._foreign(star, post, least, 0.0)
+    assert_allclose(found, least + 0.5)
+    # told by one part, the first, is told; 150 rows in four parts of 37 and 38
+    assert told and reach > 0
+    ends = np.linspace(0, ROWS, 5).round().astype(int).tolist()
+    assert parts == [(max(a - reach, 0), min(b + reach, ROWS) - 1) for a, b in pairwise(ends)]
 
 
 class TestClearView:
