@@ -103,6 +103,9 @@ EQUIVALENT = {
     ),
     "time = ((t + t.mean()) / (float(np.ptp(t)) or 1.0))[pairs.shot]": "the same slopes from another time",
     "places = np.linspace(step, max(camera.lines - 1.25 - step, step), GROUND_PLACES)": "a start of lines",
+    'held = np.einsum("nba,nb->na", self._inverse, points)': "the matrix is symmetric",
+    "return self.x - posterior @ rhs, 0.5 * (posterior + posterior)": "symmetric but for rounding",
+    "whole = 0.5 * (reduced.information + reduced.information)": "symmetric but for rounding",
     "margin = 0.125 * np.ptp(values) + step": "a margin of a search",
     "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "both are one phase along the row",
 }
