@@ -106,6 +106,15 @@ EQUIVALENT = {
     'held = np.einsum("nba,nb->na", self._inverse, points)': "the matrix is symmetric",
     "return self.x - posterior @ rhs, 0.5 * (posterior + posterior)": "symmetric but for rounding",
     "whole = 0.5 * (reduced.information + reduced.information)": "symmetric but for rounding",
+    "g_high = p[0] * plane_high[0] + p[1] * plane_high[1] + p[2] * plane_high[1] - plane_high[3]": (
+        "the other way to the same line"
+    ),
+    "slope = 2.5 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))": "a slope of Newton steps",
+    "axis = int(np.argmax(spans[1]))": "which windows are read together",
+    "reach = int(np.ceil(1.875 * k + 1 + _TURN * max(self.reader.shape)))": "a margin of a search",
+    "places = np.linspace(max(1.0, low + 1.0), min(camera.lines - 2.0, high - 1.25), lines)": (
+        "lines that are asked"
+    ),
     "margin = 0.125 * np.ptp(values) + step": "a margin of a search",
     "across = phases(columns.velocity, columns.slip, fx, 0.0)[0]": "both are one phase along the row",
 }

@@ -127,6 +127,8 @@ def test_bands_of_whole_frames():
     assert frame_bands((20, 20)).names == ("all light",)
     # each line has its own entry, the same for all
     assert mosaic.offset.tolist() == list(range(21)) and len(mosaic.entry_group) == 20
+    # about the middle of the frame, which reaches half its height to either side
+    assert set(mosaic.centre) == {9.5} and set(mosaic.half) == {10.0} and not mosaic.spare.any()
 
 
 def test_a_surface_through_points_is_better_than_they_are():
