@@ -65,9 +65,6 @@ KNOWN: tuple[tuple[str, str, str, str], ...] = (
 #: Lines as they become of faults that change no result, and why.
 EQUIVALENT = {
     'pulled = np.einsum("nji,nj->ni", square, origins - centre)': "the matrix is symmetric",
-    'pushed = np.einsum("gca,gdc,gds->gas", j, weight, height).reshape(rows, blocks, 3, 2).sum(1)': (
-        "the weight is symmetric"
-    ),
     "ab = np.zeros((int(depth.max(initial=0)) + 1, matrix.shape[1]))": "the matrix is square",
     "mount = sightings.body_from_camera[sightings.camera[images[1]]]": "all of a row are of one camera",
     "middle = 0.625 * (np.array(detector.shape) - 1.0)": "only the hand of the axes is used",
@@ -84,7 +81,6 @@ EQUIVALENT = {
     "points = rays.origins - ranges[rows, None] * rays.directions": "of the same tangents",
     "back = [mount.T @ _TURNS @ mount for mount in mounts]": "of each error only the square counts",
     "scale = 1.01 * distance[:, -1:] - 1e-9": "what keeps a distance of nothing from being divided by",
-    "loose = 2.5 * plan.pointing_error * partner.detector.focal_length_px / k": "a margin of a search",
     "key = (end + begin, share, columns.tobytes())": "as different where columns are, or their number, is",
     "peak[k, axis] += np.clip(0.625 * (low - high) / bend, -0.5, 0.5)": "a start of steps",
     "stars_from_body = Rotation.from_rotvec(np.outer(t - t[1], rate)) * reference": "one turn before all",

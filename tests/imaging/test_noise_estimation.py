@@ -269,3 +269,6 @@ def test_noise_at_rest_of_a_step_and_more_is_found(steps):
         np.full(8, 2.0 * steps), rel=4.0 / 2000**0.5 + 0.03
     )
     assert abs(found.pooled.value - 2.0 * steps) < 3.0 * found.pooled.sigma
+    # steps of the code are noise beside it, a twelfth of their square (Sheppard), which leaves less to tell
+    own = np.full(8, 2.0 * steps * (1.0 + 1.0 / 12.0 / steps**2) / 2000**0.5)
+    assert [one.sigma for one in found.each] == pytest.approx(own, rel=0.1 + 3.0 / 2000**0.5)

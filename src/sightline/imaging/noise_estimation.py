@@ -16,6 +16,7 @@ Not here: electrons and TDI stages (``imaging/strip_noise.py``), files (``io/for
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +43,8 @@ SMOOTH = 33
 #: Noise that is looked for, in steps of the table at the least; a column whose sigma has a larger relative
 #: error than this shows nothing (below a fifth of the step a level with plateaus explains the codes as well).
 LEAST_STEP, LARGEST_ERROR = 0.02, 0.2
+#: Sigmas beyond which no code comes, and codes to either side of one that are looked at at most.
+FARTHEST_CODE, MOST_CODES = 4.0, 100
 #: Relative bias of noise at rest that the allowance for the drift leaves, by simulation (``validation/``).
 DRIFT_BIAS = 0.015
 #: Least share of a block's pixels that must hold a value.
@@ -216,14 +219,17 @@ def _information(
 ) -> tuple[float, Array, Array]:
     """Expected information on sigma, on sigma and the spline together, and on the spline.
 
-    Codes that could have come instead are counted with theirs. `ridge` is what is known of each coefficient
-    from the code itself: a part of the drift that no edge is near shows no more.
+    Codes that could have come instead are counted with theirs: as far on the other side of the level as the
+    one that came may lie. `ridge` is what is known of each coefficient from the code itself, a step: a part
+    of the drift that no edge is near shows no more.
     """
     own, shared, weight = 0.0, np.zeros(level.size), np.zeros(level.size)
-    for shift in (-2, -1, 0, 1, 2):
-        at = np.clip(codes.astype(np.int64) + shift, 0, table.lower.size - 1)
+    reach = min(max(2, math.ceil(2.0 * FARTHEST_CODE * sigma * math.sqrt(ridge))), MOST_CODES)
+    for shift in range(-reach, reach + 1):
+        there = codes.astype(np.int64) + shift
+        at = np.clip(there, 0, table.lower.size - 1)
         share, by_level, by_sigma = _share_of_code(table.lower[at], table.upper[at], level, sigma)
-        known = np.isfinite(share) & (share > 1e-12)
+        known = np.isfinite(share) & (share > 1e-12) & (at == there)
         use = np.where(known, 1.0 / np.where(known, share, 1.0), 0.0)
         by_level, by_sigma = np.nan_to_num(by_level), np.nan_to_num(by_sigma)
         weight += use * by_level**2
