@@ -14,7 +14,7 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
-from sightline.motion.strip.alternatives import Reversed, alternative, exchanged, mistake
+from sightline.motion.strip.alternatives import Cause, Reversed, alternative, exchanged, mistake
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -70,7 +70,80 @@ def exchange(bands: list[Band], order: tuple[int, ...]) -> list[Band]:
 def test_files_of_bands_that_changed_places_are_named(scene, order, said) -> None:
     bands = [described(scene, k) for k in range(4)]
     assert said in mistake(exchange(bands, order), Plane(0.0), (8, 8))
-    assert exchanged(bands, Plane(0.0), (8, 8)) == ""
+    assert exchanged(bands, Plane(0.0), (8, 8)) == Cause()
+
+
+def noise_like(image: np.ndarray) -> ArrayImage:
+    return ArrayImage(np.random.default_rng(0).standard_normal(image.shape) + 100.0)
+
+
+def test_files_that_changed_places_are_named_beside_a_band_that_matches_nothing(scene) -> None:
+    """By two bands alone, the sign of their lag would be as likely."""
+    bands = exchange([described(scene, k) for k in range(4)], (1, 0, 2, 3))
+    bands[3] = replace(bands[3], image=noise_like(scene.image(3)))
+    said = "the image of PAN matches as that of B1, and B1's as PAN's: exchange them"
+    assert mistake(bands, Plane(0.0), (8, 8)) == said
+
+
+def test_lags_alike_on_both_sides_leave_two_causes() -> None:
+    lags = {"lags": (0.0, 0.06, -0.06), "names": ("P", "Q", "R"), "gains": (1.0,) * 3, "gammas": (1.0,) * 3}
+    given = line_of_sight_case("nominal", 2, lines=500, columns=320, **lags)
+    words = mistake([described(given, k, sign=-1.0) for k in range(3)], Plane(0.0), (8, 8))
+    assert words.startswith(
+        "all bands match P as far on the other side: change the sign of every `look_ahead`"
+    )
+    assert words.endswith("; or the image of Q matches as that of R, and R's as Q's: exchange them")
+
+
+def test_all_lags_are_named_though_one_is_shorter_than_the_search() -> None:
+    """12 lines: either sign may be searched at once."""
+    lags = {"lags": (0.0, 0.006, 0.06), "names": ("P", "Q", "R"), "gains": (1.0,) * 3, "gammas": (1.0,) * 3}
+    given = line_of_sight_case("nominal", 2, lines=500, columns=320, **lags)
+    words = mistake([described(given, k, sign=-1.0) for k in range(3)], Plane(0.0), (8, 8))
+    assert words.startswith("all bands match P as far on the other side")
+
+
+def test_bands_of_coarser_pixels_are_looked_through_from_one_of_them() -> None:
+    """Windows of the fine first band hold too few of their pixels."""
+    given = line_of_sight_case(
+        "nominal", 2, lines=900, columns=400, lags=(0.0, 0.04, 0.06, 0.1), pixel_ratios=(1.0, 2.0, 2.0, 2.0)
+    )
+    bands = [
+        Band(band.name, ArrayImage(given.image(k)), given.nominal_cameras[k])
+        for k, band in enumerate(given.bands)
+    ]
+    assert mistake(bands, Plane(0.0), (8, 8)) == ""
+    said = "the image of B1 matches as that of B2, and B2's as B1's: exchange them"
+    assert mistake(exchange(bands, (0, 3, 2, 1)), Plane(0.0), (8, 8)) == said
+
+
+@pytest.mark.parametrize(
+    ("band", "axis", "said"),
+    [
+        (0, 1, "when the columns of one of the two are taken the other way round: mirror that image"),
+        (1, 1, "when the columns of one of the two are taken the other way round: mirror that image"),
+        (0, 0, "when the lines of PAN are taken the other way round: give the image of PAN"),
+        (1, 0, "when its lines are taken the other way round: give that image"),
+    ],
+)
+def test_of_two_bands_either_may_be_the_other_way_round(band, axis, said) -> None:
+    given = line_of_sight_case("nominal", 3, lines=900, columns=200)
+    bands = [described(given, 0), described(given, 1)]
+    turned = ArrayImage(np.ascontiguousarray(np.flip(given.image(band), axis)))
+    bands[band] = replace(bands[band], image=turned)
+    assert f"B1: it matches PAN {said}" in mistake(bands, Plane(0.0), (8, 8))
+
+
+def test_of_two_bands_the_images_may_have_changed_places(scene) -> None:
+    bands = exchange([described(scene, 0), described(scene, 1)], (1, 0))
+    assert mistake(bands, Plane(0.0), (8, 8)).endswith(", or exchange the two images")
+
+
+def test_a_lag_where_none_is_given_has_no_ratio(scene) -> None:
+    """Every camera looks at nadir: the second band's lag is all wrong, and no multiple of what is said."""
+    bands = [described(scene, 0), described(scene, 1, sign=1e-9)]
+    words = mistake(bands, Plane(0.0), (8, 8))
+    assert "lines along its image, not 0 as the cameras say: check" in words
 
 
 def test_two_lost_bands_with_each_others_images_are_named_together(scene) -> None:
@@ -81,6 +154,22 @@ def test_two_lost_bands_with_each_others_images_are_named_together(scene) -> Non
     assert said == (
         "B1 and B2 match nothing: the image of B1 matches as that of B2, and B2's as B1's: exchange them"
     )
+
+
+def test_a_third_lost_band_keeps_its_own_words() -> None:
+    """Its image is noise: it changed places with none."""
+    lags = (0.0, 0.005, 0.06, 0.1, 0.13)
+    extra = {"names": tuple("PQRST"), "gains": (1.0,) * 5, "gammas": (1.0,) * 5}
+    given = line_of_sight_case("nominal", 2, lines=700, columns=160, lags=lags, **extra)
+    bands = exchange([described(given, k) for k in range(5)], (0, 1, 3, 2, 4))
+    bands[4] = replace(bands[4], image=noise_like(given.image(4)))
+    found = recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(passes=1))
+    words = [w for w in found.warnings if "match nothing" in w or "matches nothing" in w]
+    assert (
+        words[0]
+        == "R and S match nothing: the image of R matches as that of S, and S's as R's: exchange them"
+    )
+    assert len(words) == 2 and words[1].startswith("T matches nothing: ")
 
 
 def test_a_lag_of_another_length_is_named_with_its_length(scene) -> None:
@@ -113,10 +202,8 @@ def test_a_focal_length_some_per_cent_off_is_named_with_its_size(scene, scale) -
 
 def test_a_band_that_shows_other_ground_has_no_explanation(scene) -> None:
     partner = described(scene, 1)
-    noise = np.random.default_rng(0).standard_normal(scene.image(1).shape) + 100.0
-    assert (
-        alternative(described(scene, 0), replace(partner, image=ArrayImage(noise)), Plane(0.0), (8, 8)) == ""
-    )
+    partner = replace(partner, image=noise_like(scene.image(1)))
+    assert alternative(described(scene, 0), partner, Plane(0.0), (8, 8)) == ""
 
 
 def test_a_band_that_matches_as_it_is_has_no_mistake(scene) -> None:

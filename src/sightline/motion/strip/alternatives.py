@@ -1,7 +1,7 @@
 """What would have two bands match that do not as they are given: one mistake in the description of either.
 
 Tried are lags of the other sign, images of other bands, columns or lines that run the other way, a
-magnification some per cent off, and lags of any length. Not here: where it is said (``warnings.py``,
+magnification some per cent off, and lags of another length. Not here: where it is said (``warnings.py``,
 ``applications/line_of_sight.py``).
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.measure.laid_strips import pixel_sizes
+from sightline.motion.measure.laid_strips import groups_of_pixels, pixel_sizes
 from sightline.motion.measure.windows import window_grid
 
 Array = NDArray[np.float64]
@@ -32,8 +33,11 @@ WINDOW, FEWEST = (32, 100), 10
 MOST = 400
 #: Share of the windows on both images that match where bands belong together.
 ENOUGH = 0.5
-#: Lags up to so many times the one given are tried, so many windows in steps of so many px each way.
-FARTHEST, FEW, SCAN = 2.5, 50, 32
+#: Lags up to so many times the one given are tried, or so many lines, by so many windows, in steps of so many
+#: px each way.
+FARTHEST, LEAST_FARTHEST, FEW, SCAN = 2.5, 1000.0, 50, 32
+#: Partners that must show it before one cause is found for several bands.
+SEVERAL = 2
 #: Relative errors of a magnification: 3 % of a focal length, in steps by which a window is stretched by less
 #: than it may be and still match.
 SCALES = tuple(sign * step for step in (0.005, 0.01, 0.015, 0.02, 0.025, 0.03) for sign in (1.0, -1.0))
@@ -69,6 +73,14 @@ class Reversed:
         return lines, (size - columns[1], size - columns[0])
 
 
+class Cause(NamedTuple):
+    """Why bands do not match, as a sentence without its end; which ones, and how many pairs it explains."""
+
+    words: str = ""
+    bands: tuple[str, ...] = ()
+    pairs: int = 0
+
+
 def mistake(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int]) -> str:
     """What must be otherwise for the bands to match the first, as a sentence without its end; "" if unknown.
 
@@ -81,58 +93,78 @@ def mistake(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int])
     search_px : (lines, columns)
         px; half-range of the search about each place tried.
     """
-    hub, partners = bands[0], bands[1:]
+    hub, *partners = bands = _coarsest_first(bands)
     pairs = [_Pair.of(hub, partner, surface, search_px) for partner in partners]
-    if len(pairs) > 1 and all(pair.far and pair.matches(pair.other_side) for pair in pairs):
-        return (
-            f"all bands match {hub.name} as far on the other side: change the sign of every `look_ahead` "
-            "(forward is positive) or of all lags"
-        )
-    words = exchanged(bands, surface, search_px)
+    turned, moved = _on_the_other_side(pairs), exchanged(bands, surface, search_px)
+    # either may be: of lags alike on both sides
+    most = max(turned.pairs, moved.pairs)
+    words = [cause.words for cause in (turned, moved) if cause.words and cause.pairs == most]
     if words:
-        return words
-    said = ((partner.name, alternative(hub, partner, surface, search_px)) for partner in partners)
+        return "; or ".join(words)
+    said = (
+        (partner.name, alternative(hub, partner, surface, search_px, either=True)) for partner in partners
+    )
     return next((f"{name}: {words}" for name, words in said if words), "")
 
 
-def exchanged(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int]) -> str:
-    """Which bands have each other's images, where all bands match the first when these are put right.
+def exchanged(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int]) -> Cause:
+    """Which bands have each other's images, if those of more than one pair match when they are put right.
 
-    Parameters are those of `mistake`; so is what is returned.
+    Parameters are those of `mistake`.
     """
+    nothing = Cause()
+    bands = _coarsest_first(bands)
     if len(bands) < 3:
-        return ""  # two change places as their lag changes its sign
+        return nothing  # two change places as their lag changes its sign
     places = range(len(bands))
+    pairs = {k: _Pair.of(bands[0], bands[k], surface, search_px) for k in places[1:]}
     orders: list[tuple[int, ...]] = list(combinations(places, 2))
     if len(bands) > 3:  # of fewer, two change places
         orders.append(tuple(places))
     for moved in orders:
         if len({bands[k].image.shape for k in moved}) > 1:
             continue
-        # those of the pairs with the first band in which an image is another
-        partners = [k for k in places[1:] if 0 in moved or k in moved]
         order = dict(zip(moved, reversed(moved), strict=True))
-        put = [replace(band, image=bands[order.get(k, k)].image) for k, band in enumerate(bands)]
-        if not all(_Pair.of(put[0], put[k], surface, search_px).matches() for k in partners):
+        images = [bands[order.get(k, k)].image for k in places]
+        put = {
+            k: replace(
+                pair, hub=replace(bands[0], image=images[0]), partner=replace(bands[k], image=images[k])
+            )
+            for k, pair in pairs.items()
+        }
+        if not all(put[k].matches() for k in moved if k):
             continue
-        if all(_Pair.of(bands[0], bands[k], surface, search_px).matches() for k in partners):
+        # pairs with the first band, when its image is another: some may look like nothing, but none gets lost
+        others = [k for k in pairs if 0 in moved and k not in moved]
+        good = [k for k in pairs if k in moved or (k in others and put[k].matches())]
+        if len(good) < SEVERAL or any(pairs[k].matches() for k in others if k not in good):
+            continue
+        if all(pairs[k].matches() for k in good):
             continue  # lags alike: either order may be
+        names, count = tuple(bands[k].name for k in moved), sum(pair.matches() for pair in put.values())
         if len(moved) > 2:
-            return "the images match in the reverse order: give the files of all bands from last to first"
-        first, second = (bands[k].name for k in moved)
-        return f"the image of {first} matches as that of {second}, and {second}'s as {first}'s: exchange them"
-    return ""
+            words = "the images match in the reverse order: give the files of all bands from last to first"
+            return Cause(words, names, count)
+        first, second = names
+        words = (
+            f"the image of {first} matches as that of {second}, and {second}'s as {first}'s: exchange them"
+        )
+        return Cause(words, names, count)
+    return nothing
 
 
-def alternative(hub: Band, partner: Band, surface: Surface, search_px: tuple[int, int]) -> str:
+def alternative(
+    hub: Band, partner: Band, surface: Surface, search_px: tuple[int, int], *, either: bool = False
+) -> str:
     """What must be otherwise for `partner` to match `hub`, as the end of a sentence about it; "" if unknown.
 
-    Parameters are those of `mistake`, of two bands.
+    Parameters are those of `mistake`, of two bands; `either`: the mistake may be that of `hub` as well, which
+    no other band matches.
     """
     pair = _Pair.of(hub, partner, surface, search_px)
     given, _ = pair.found(pair.there)
     best, words = max(given, ENOUGH), ""
-    for image, predicted, stretch, said in _tried(pair):
+    for image, predicted, stretch, said in _tried(pair, either):
         share, _ = pair.found(predicted, image, stretch)
         if share > best:
             best, words = share, said
@@ -223,30 +255,74 @@ class _Pair:
         return self.found(self.there if predicted is None else predicted)[0] > ENOUGH
 
 
-def _tried(pair: _Pair) -> Iterator[tuple[ImageSource, Array, float, str]]:
+def _coarsest_first(bands: Sequence[Band]) -> list[Band]:
+    """The same with the first of the coarsest pixels in front: windows of finer ones hold too few of them."""
+    first = groups_of_pixels([band.camera for band in bands]).index(0)
+    return [bands[first], *bands[:first], *bands[first + 1 :]]
+
+
+def agree(hub: Band, partner: Band, surface: Surface, search_px: tuple[int, int]) -> bool:
+    """Whether two bands match where the cameras say. Parameters are those of `mistake`."""
+    return _Pair.of(hub, partner, surface, search_px).matches()
+
+
+def _on_the_other_side(pairs: Sequence[_Pair]) -> Cause:
+    """What that means where lags of several pairs have the other sign, and none the one given."""
+    turned = [pair for pair in pairs if pair.matches(pair.other_side)]
+    # a lag shorter than the search may have either sign
+    sure = [pair for pair in turned if pair.far or not pair.matches()]
+    if len(sure) < SEVERAL or any(pair.matches() for pair in pairs if pair not in turned):
+        return Cause()
+    who = "all bands" if len(turned) == len(pairs) else " and ".join(pair.partner.name for pair in turned)
+    return Cause(
+        f"{who} match {pairs[0].hub.name} as far on the other side: change the sign of every `look_ahead` "
+        "(forward is positive) or of all lags, or give all images with their earliest line first",
+        tuple(pair.partner.name for pair in turned),
+        len(turned),
+    )
+
+
+def _tried(pair: _Pair, either: bool) -> Iterator[tuple[ImageSource, Array, float, str]]:
     """Image of the partner, where windows are sought in it, how much wider they are, and what that means."""
     hub, partner, there = pair.hub, pair.partner, pair.there
+    that = "that image" if either else "the image"
     if pair.far:
+        exchange = ", or exchange the two images" if either and hub.image.shape == partner.image.shape else ""
         yield (
             partner.image,
             pair.other_side,
             1.0,
-            f"it matches {hub.name} as far on the other side: change the sign of its `look_ahead` (forward "
-            "is positive) or of its lag",
+            f"it matches {hub.name} as far on the other side: change the sign of its lag, or of its "
+            "`look_ahead` (forward is positive), of those of the other bands where its own is 0" + exchange,
         )
+    columns, lines = (
+        f"the {way} of one of the two" if either else f"its {way}" for way in ("columns", "lines")
+    )
     yield (
         Reversed(partner.image, 1),
         there,
         1.0,
-        f"it matches {hub.name} when its columns are taken the other way round: mirror the image, or give "
+        f"it matches {hub.name} when {columns} are taken the other way round: mirror {that}, or give "
         "`directions` in the order of its columns",
     )
+    if either and pair.far:
+        # the first band's lines turned round are the partner's turned round, and the lag with them
+        turned = pair.other_side
+        turned[:, 0] += partner.image.shape[0] - 1 - pair.step[0] * (hub.image.shape[0] - 1)
+        yield (
+            Reversed(partner.image, 0),
+            turned,
+            1.0,
+            f"it matches {hub.name} when the lines of {hub.name} are taken the other way round: give the "
+            f"image of {hub.name} with its earliest line first",
+        )
+        lines = "its lines"
     yield (
         Reversed(partner.image, 0),
         there,
         1.0,
-        f"it matches {hub.name} when its lines are taken the other way round: give the image with its "
-        "earliest line first",
+        f"it matches {hub.name} when {lines} are taken the other way round: give {that} with its earliest "
+        "line first",
     )
     middle = (partner.camera.columns - 1) / 2.0
     for error in SCALES:
@@ -269,13 +345,16 @@ def _farther(pair: _Pair) -> str:
     search = (max(SCAN, pair.search_px[0]), pair.search_px[1])
     some = slice(None, None, max(1, len(pair.points) // FEW))
     few = replace(pair, points=pair.points[some], there=pair.there[some], at_once=pair.at_once[some])
-    steps = np.arange(0.0, FARTHEST * abs(pair.lag[0]) + search[0], 2.0 * search[0] + 1.0)
+    reach = min(max(FARTHEST * abs(pair.lag[0]), LEAST_FARTHEST), float(pair.partner.image.shape[0]))
+    steps = np.arange(0.0, reach + search[0], 2.0 * search[0] + 1.0)
     for lines in sorted({*steps, *-steps}, key=lambda lines: abs(lines - pair.lag[0])):
         share, lag = few.found(few.at_once + np.array([lines, pair.lag[1]]), search_px=search)
         if share > ENOUGH:
+            seen, said = round(lag[0]), round(pair.lag[0])
+            times = f" ({lag[0] / pair.lag[0]:.3g} times as far)" if said else ""
             return (
-                f"it matches {pair.hub.name} {lag[0]:.0f} lines along its image, not {pair.lag[0]:.0f} as "
-                f"the cameras say ({lag[0] / pair.lag[0]:.3g} times as far): check its `look_ahead`, "
-                "`line_period` and `first_line_time`"
+                f"it matches {pair.hub.name} {seen} lines along its image, not {said} as the cameras say"
+                f"{times}: check `look_ahead`, `first_line_time` and image of both, `line_period`, altitude "
+                "and speed"
             )
     return ""

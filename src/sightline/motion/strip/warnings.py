@@ -13,10 +13,11 @@ from sightline.estimation.search import SEEN_THROUGH
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.estimators.differences import YAW
+from sightline.motion.measure.laid_strips import groups_of_pixels
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
-from sightline.motion.strip.alternatives import alternative, exchanged
+from sightline.motion.strip.alternatives import agree, alternative, exchanged
 from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hidden import likely_modes
@@ -220,13 +221,19 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
             kept[record.star.hub, image] += int(record.star.present[:, k].sum())
     compared, kept = compared + compared.T, kept + kept.T
     alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
+    # those of coarse pixels first, whose windows are compared with those of fine ones
+    groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone)
+    matched = matched[np.argsort(groups[matched], kind="stable")]
+    out = []
     if len(matched) and len(lost) > 1:
         some = [strip.bands[b] for b in (matched[0], *lost)]
-        words = exchanged(some, strip.surface, RecoverOptions().search_px)
-        if words:
-            return [f"{' and '.join(band.name for band in some[1:])} match nothing: {words}"]
-    return [
+        words, names, _ = exchanged(some, strip.surface, RecoverOptions().search_px)
+        # only of lost ones: the others match as they are
+        if words and some[0].name not in names:
+            out = [f"{' and '.join(names)} match nothing: {words}"]
+            lost = np.array([b for b in lost if strip.bands[b].name not in names], dtype=int)
+    return out + [
         f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
         "nothing measures its place; " + _why_unmatched(strip, int(b), matched)
         for b in lost
@@ -239,6 +246,9 @@ def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
         words = alternative(strip.bands[other], strip.bands[lost], strip.surface, RecoverOptions().search_px)
         if words:
             return words
+    for other in matched:
+        if agree(strip.bands[other], strip.bands[lost], strip.surface, RecoverOptions().search_px):
+            return f"it matches {strip.bands[other].name} as it is, but was compared with others that do not"
     return (
         "check its `look_ahead` (sign), `ifov` and line times; or it looks like no other band, or clouds "
         "hide it"
