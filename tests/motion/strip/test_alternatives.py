@@ -85,6 +85,14 @@ def test_files_that_changed_places_are_named_beside_a_band_that_matches_nothing(
     assert mistake(bands, Plane(0.0), (8, 8)) == said
 
 
+def test_five_bands_in_reverse_order_are_not_two_that_changed_places() -> None:
+    """The middle one has its own image, so that the first and the last alone would set it right as well."""
+    lags = {"lags": (0.0, 0.03, 0.05, 0.09, 0.14), "gains": (1.0,) * 5, "gammas": (1.0,) * 5}
+    given = line_of_sight_case("nominal", 2, lines=700, columns=160, names=tuple("PQRST"), **lags)
+    bands = exchange([described(given, k) for k in range(5)], (4, 3, 2, 1, 0))
+    assert mistake(bands, Plane(0.0), (8, 8)).startswith("the images match in the reverse order")
+
+
 def test_lags_alike_on_both_sides_leave_two_causes() -> None:
     lags = {"lags": (0.0, 0.06, -0.06), "names": ("P", "Q", "R"), "gains": (1.0,) * 3, "gammas": (1.0,) * 3}
     given = line_of_sight_case("nominal", 2, lines=500, columns=320, **lags)
@@ -170,6 +178,18 @@ def test_a_third_lost_band_keeps_its_own_words() -> None:
         == "R and S match nothing: the image of R matches as that of S, and S's as R's: exchange them"
     )
     assert len(words) == 2 and words[1].startswith("T matches nothing: ")
+
+
+def test_a_sound_band_compared_with_a_wrong_one_alone_is_said_to_be_sound() -> None:
+    """The first band is said to begin .03 s (60 lines) early; the last was compared with the first alone."""
+    lags = {"lags": (0.0, 0.005, 0.09, 0.13, -0.06), "gains": (1.0,) * 5, "gammas": (1.0,) * 5}
+    given = line_of_sight_case("nominal", 2, lines=800, columns=200, names=tuple("PQRST"), **lags)
+    bands = [described(given, k) for k in range(5)]
+    early = replace(bands[0].camera, first_line_time=-0.03)
+    bands[0] = replace(bands[0], camera=early)
+    found = recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(passes=1))
+    [said] = [words for words in found.warnings if words.startswith("T matches nothing")]
+    assert re.search("it matches [QRS] where the cameras say", said)
 
 
 def test_a_lag_of_another_length_is_named_with_its_length(scene) -> None:

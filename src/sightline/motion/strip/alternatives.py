@@ -110,12 +110,12 @@ def mistake(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int])
 def exchanged(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int]) -> Cause:
     """Which bands have each other's images, if those of more than one pair match when they are put right.
 
+    Of several such orders that by which most pairs match: of bands in reverse order two alone seem to do.
     Parameters are those of `mistake`.
     """
-    nothing = Cause()
-    bands = _coarsest_first(bands)
+    best, bands = Cause(), _coarsest_first(bands)
     if len(bands) < 3:
-        return nothing  # two change places as their lag changes its sign
+        return best  # two change places as their lag changes its sign
     places = range(len(bands))
     pairs = {k: _Pair.of(bands[0], bands[k], surface, search_px) for k in places[1:]}
     orders: list[tuple[int, ...]] = list(combinations(places, 2))
@@ -142,15 +142,15 @@ def exchanged(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int
         if all(pairs[k].matches() for k in good):
             continue  # lags alike: either order may be
         names, count = tuple(bands[k].name for k in moved), sum(pair.matches() for pair in put.values())
+        if count <= best.pairs:
+            continue
         if len(moved) > 2:
             words = "the images match in the reverse order: give the files of all bands from last to first"
-            return Cause(words, names, count)
-        first, second = names
-        words = (
-            f"the image of {first} matches as that of {second}, and {second}'s as {first}'s: exchange them"
-        )
-        return Cause(words, names, count)
-    return nothing
+        else:
+            one, other = names
+            words = f"the image of {one} matches as that of {other}, and {other}'s as {one}'s: exchange them"
+        best = Cause(words, names, count)
+    return best
 
 
 def alternative(
@@ -293,7 +293,7 @@ def _tried(pair: _Pair, either: bool) -> Iterator[tuple[ImageSource, Array, floa
             pair.other_side,
             1.0,
             f"it matches {hub.name} as far on the other side: change the sign of its lag, or of its "
-            "`look_ahead` (forward is positive), of those of the other bands where its own is 0" + exchange,
+            "`look_ahead` (forward is positive; of those of the other bands where its own is 0)" + exchange,
         )
     columns, lines = (
         f"the {way} of one of the two" if either else f"its {way}" for way in ("columns", "lines")

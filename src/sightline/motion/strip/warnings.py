@@ -248,7 +248,10 @@ def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
             return words
     for other in matched:
         if agree(strip.bands[other], strip.bands[lost], strip.surface, RecoverOptions().search_px):
-            return f"it matches {strip.bands[other].name} as it is, but was compared with others that do not"
+            return (
+                f"it matches {strip.bands[other].name} where the cameras say, but was compared only with "
+                "bands that it does not match: set these right"
+            )
     return (
         "check its `look_ahead` (sign), `ifov` and line times; or it looks like no other band, or clouds "
         "hide it"
