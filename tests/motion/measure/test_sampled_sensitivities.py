@@ -7,8 +7,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from motion.strips import ALTITUDE, IFOV, PERIOD, given_bands, moved_by_turn, sampled_motion, strip_cameras
+from motion.strips import (
+    ALTITUDE,
+    IFOV,
+    PERIOD,
+    SPEED,
+    given_bands,
+    moved_by_turn,
+    sampled_motion,
+    strip_cameras,
+)
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.instrument import LineDetector
+from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
+from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.motion.band import Band
 from sightline.motion.measure.sampled_sensitivities import _averaged, sampled_sensitivities
 from sightline.motion.measure.windows import window_grid
@@ -54,6 +67,22 @@ def test_every_row_has_the_sensitivity_of_its_own_motion():
     # 0.01 / s: 1.5 %; another 1 % allows for the lag itself, which yaw and look ahead change
     assert_allclose(got[:, 0, 0], -np.sin(turned) / IFOV, rtol=0.025)
     assert turned.max() > 3 * turned.min()
+
+
+def test_rows_of_a_long_strip_have_those_of_their_own_motion_too():
+    """However many there are: yaw that turns every ten lines leaves nothing to interpolate between rows."""
+    lines, size = 5000, 0.2
+    rate = 2.0 * np.pi / (10.0 * PERIOD)
+    t = np.arange(-100.0, lines + 100.0) * PERIOD
+    yaw = Motion(t, np.stack([np.zeros_like(t), np.zeros_like(t), size * np.sin(rate * t)], axis=1))
+    flight = Trajectory.level_flight(ALTITUDE, SPEED, t[0], t[-1]).with_motion(yaw)
+    detector = LineDetector.from_ifov("nadir", 80, IFOV, PERIOD)
+    camera = PushbroomCamera(detector, flight, FixedMount(), 0.0, lines)
+    grid = window_grid((lines, 80), (2, 60), 1)
+    got = sensitivities_of_all([camera, camera], grid, np.ones(len(grid.centres), bool), [])
+    # both see the ground at once: half the yaw, as above; a twentieth for yaw between samples of the motion
+    turned = 0.5 * size * np.sin(rate * grid.centres[:, 0] * PERIOD)
+    assert_allclose(got[:, 0, 0], -np.sin(turned) / IFOV, atol=0.05 * 0.5 * size / IFOV)
 
 
 def test_rows_whose_partner_is_not_seen_take_the_nearest_row_that_is():

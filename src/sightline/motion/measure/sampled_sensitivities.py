@@ -2,7 +2,8 @@
 
 Across the field sensitivities are almost linear. Along the strip they follow the motion itself
 (a yawing body turns a pitch into a roll), so every row gets its own: what ties a hidden constant
-to the jitter of the other axes depends on it.
+to the jitter of the other axes depends on it. Between rows farther apart than the jitter's periods nothing
+can be interpolated: of 30,000 lines, every second row would have the slow motion wrong by several sigmas.
 
 Not here: the exact values (``predict.sensitivities``).
 """
@@ -20,10 +21,8 @@ from sightline.motion.measure.windows import WindowGrid
 
 Array = NDArray[np.float64]
 
-#: Most rows computed exactly, and columns of each.
-LINE_SAMPLES, COLUMN_SAMPLES = 4096, 5
-#: Rows that are interpolated at once.
-AT_ONCE = 512
+#: Columns of each row that are computed exactly, and rows at once.
+COLUMN_SAMPLES, AT_ONCE = 5, 512
 
 
 def sampled_sensitivities(
@@ -59,27 +58,27 @@ def sampled_sensitivities(
     own = statics
     statics = list(dict.fromkeys(parameter.whole or parameter for parameter in own))
     rows, blocks = grid.shape
-    table = seen.reshape(rows, blocks)
-    usable = np.flatnonzero(table.any(axis=1))
-    if len(usable) == 0:
-        return
-    at_rows = np.unique(np.linspace(0, len(usable) - 1, min(LINE_SAMPLES, len(usable))).round().astype(int))
-    sample_rows = usable[at_rows]
+    usable = seen.reshape(rows, blocks).any(axis=1)
     at_blocks = np.unique(np.linspace(0, blocks - 1, min(COLUMN_SAMPLES, blocks)).round().astype(int))
-    pixels = np.stack(np.meshgrid(grid.lines[sample_rows], grid.columns[at_blocks], indexing="ij"), axis=-1)
-    exact = sensitivities(cameras, hub, image, surface, pixels.reshape(-1, 2), statics)
-    values = np.concatenate([exact.angles_a, exact.angles_b, exact.height[:, :, None], exact.statics], axis=2)
-    values = values.reshape(len(sample_rows), len(at_blocks), -1)
-    across = _fill_and_interpolate(values, at_blocks.astype(float), np.arange(blocks, dtype=float))
-    across = np.ascontiguousarray(across.transpose(1, 0, 2))
     other = grid.window[1] if width is None else width
     columns = {image: (places[:, 1], other), hub: (grid.centres[:, 1], grid.window[1])}
     shares = [_share(parameter, columns) for parameter in own]
     of_whole = [7 + statics.index(parameter.whole or parameter) for parameter in own]
-    # some rows at a time: in float64 all of them would take more than all else of a long strip
+    # some rows at a time: all of a long strip would take more than all else of it
     for begin in range(0, rows, AT_ONCE):
-        wanted = np.arange(begin, min(begin + AT_ONCE, rows), dtype=float)
-        whole = _fill_and_interpolate(across, sample_rows.astype(float), wanted).transpose(1, 0, 2)
+        wanted = np.arange(begin, min(begin + AT_ONCE, rows))
+        some = wanted[usable[wanted]]
+        if len(some) == 0:
+            continue
+        pixels = np.stack(np.meshgrid(grid.lines[some], grid.columns[at_blocks], indexing="ij"), axis=-1)
+        exact = sensitivities(cameras, hub, image, surface, pixels.reshape(-1, 2), statics)
+        values = np.concatenate(
+            [exact.angles_a, exact.angles_b, exact.height[:, :, None], exact.statics], axis=2
+        )
+        values = values.reshape(len(some), len(at_blocks), -1)
+        across = _fill_and_interpolate(values, at_blocks.astype(float), np.arange(blocks, dtype=float))
+        across = np.ascontiguousarray(across.transpose(1, 0, 2))
+        whole = _fill_and_interpolate(across, some.astype(float), wanted.astype(float)).transpose(1, 0, 2)
         whole = whole.reshape(len(wanted) * blocks, 2, -1)
         here = slice(begin * blocks, (begin + len(wanted)) * blocks)
         values = np.concatenate([whole[..., :7], whole[..., of_whole]], axis=2)
