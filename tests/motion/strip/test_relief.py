@@ -239,13 +239,6 @@ class TestShare:
         expected = np.sqrt(0.8 + 0.1 / 16.0 + 0.1 / 256.0)
         assert relief_share(lambda sigma, length: 0.0, HEIGHT, HALF_WIDTH) == pytest.approx(expected)
 
-    def test_fine_hills_are_no_sign_of_low_ones(self):
-        """A ground of any size has them: what tells the length alone tells no size."""
-        nothing = relief_share(lambda sigma, length: 0.0, HEIGHT, HALF_WIDTH)
-        assert relief_share(lambda sigma, length: -9.0 * np.log(length), HEIGHT, HALF_WIDTH) == pytest.approx(
-            nothing, rel=1e-9
-        )
-
     @pytest.mark.parametrize("true", [1.0, 0.25, 0.0])
     def test_many_heights_tell_their_size(self, true):
         """Heights of a size drawn beside errors of their own: a thousand say it to 5 %."""

@@ -287,14 +287,14 @@ def relief_share(likelihood: Callable[[float, float], float], sigma: float, half
     -----
     Four fifths of the belief are in what was given, a fifth in sizes down to a 16th of it: a sigma is often
     said for want of a DEM, of ground that is far flatter. Variances are averaged; where images tell nothing,
-    most of what was given stays. Likelihoods are averaged over correlation lengths, the same for all sizes:
-    of one that is wrong the size would take the blame, and fine hills, which every ground has, would pass for
-    all of it.
+    most of what was given stays. Likelihoods are averaged over correlation lengths: of one that is wrong the
+    size would take the blame.
     """
-    lengths = _lengths(sigma, half_width, LENGTHS).tolist()
     found: list[float] = []
     for share in SHARES:
-        each = [likelihood(share * sigma, length) for length in lengths]
+        each = [
+            likelihood(share * sigma, one) for one in _lengths(share * sigma, half_width, LENGTHS).tolist()
+        ]
         found.append(float(np.logaddexp.reduce(each)))
         if found[-1] < max(found) - FAR_LESS:
             break
