@@ -58,7 +58,7 @@ def sampled_sensitivities(
     own = statics
     statics = list(dict.fromkeys(parameter.whole or parameter for parameter in own))
     rows, blocks = grid.shape
-    usable = seen.reshape(rows, blocks).any(axis=1)
+    usable = np.asarray(seen.reshape(rows, blocks).any(axis=1))
     at_blocks = np.unique(np.linspace(0, blocks - 1, min(COLUMN_SAMPLES, blocks)).round().astype(int))
     other = grid.window[1] if width is None else width
     columns = {image: (places[:, 1], other), hub: (grid.centres[:, 1], grid.window[1])}
