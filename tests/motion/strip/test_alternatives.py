@@ -14,7 +14,7 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
-from sightline.motion.strip.alternatives import Cause, Reversed, alternative, exchanged, mistake
+from sightline.motion.strip.alternatives import Cause, Reversed, alternative, exchanged_bands, mistake
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -70,7 +70,7 @@ def exchange(bands: list[Band], order: tuple[int, ...]) -> list[Band]:
 def test_files_of_bands_that_changed_places_are_named(scene, order, said) -> None:
     bands = [described(scene, k) for k in range(4)]
     assert said in mistake(exchange(bands, order), Plane(0.0), (8, 8))
-    assert exchanged(bands, Plane(0.0), (8, 8)) == Cause()
+    assert exchanged_bands(bands, Plane(0.0), (8, 8)) == Cause()
 
 
 def noise_like(image: np.ndarray) -> ArrayImage:

@@ -95,7 +95,7 @@ def mistake(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int])
     """
     hub, *partners = bands = _coarsest_first(bands)
     pairs = [_Pair.of(hub, partner, surface, search_px) for partner in partners]
-    turned, moved = _on_the_other_side(pairs), exchanged(bands, surface, search_px)
+    turned, moved = _on_the_other_side(pairs), exchanged_bands(bands, surface, search_px)
     # either may be: of lags alike on both sides
     most = max(turned.pairs, moved.pairs)
     words = [cause.words for cause in (turned, moved) if cause.words and cause.pairs == most]
@@ -107,7 +107,7 @@ def mistake(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int])
     return next((f"{name}: {words}" for name, words in said if words), "")
 
 
-def exchanged(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int]) -> Cause:
+def exchanged_bands(bands: Sequence[Band], surface: Surface, search_px: tuple[int, int]) -> Cause:
     """Which bands have each other's images, if those of more than one pair match when they are put right.
 
     Of several such orders that by which most pairs match: of bands in reverse order two alone seem to do.

@@ -17,7 +17,7 @@ from sightline.motion.measure.laid_strips import groups_of_pixels
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
-from sightline.motion.strip.alternatives import agree, alternative, exchanged
+from sightline.motion.strip.alternatives import agree, alternative, exchanged_bands
 from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hidden import likely_modes
@@ -228,7 +228,7 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
     out = []
     if len(matched) and len(lost) > 1:
         some = [strip.bands[b] for b in (matched[0], *lost)]
-        words, names, _ = exchanged(some, strip.surface, RecoverOptions().search_px)
+        words, names, _ = exchanged_bands(some, strip.surface, RecoverOptions().search_px)
         # only of lost ones: the others match as they are
         if words and some[0].name not in names:
             out = [f"{' and '.join(names)} match nothing: {words}"]
