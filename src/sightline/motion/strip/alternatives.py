@@ -118,6 +118,7 @@ def exchanged_bands(bands: Sequence[Band], surface: Surface, search_px: tuple[in
         return best  # two change places as their lag changes its sign
     places = range(len(bands))
     pairs = {k: _Pair.of(bands[0], bands[k], surface, search_px) for k in places[1:]}
+    given = {k: pair.matches() for k, pair in pairs.items()}
     orders: list[tuple[int, ...]] = list(combinations(places, 2))
     if len(bands) > 3:  # of fewer, two change places
         orders.append(tuple(places))
@@ -125,25 +126,25 @@ def exchanged_bands(bands: Sequence[Band], surface: Surface, search_px: tuple[in
         if len({bands[k].image.shape for k in moved}) > 1:
             continue
         order = dict(zip(moved, reversed(moved), strict=True))
-        images = [bands[order.get(k, k)].image for k in places]
-        put = {
-            k: replace(
-                pair, hub=replace(bands[0], image=images[0]), partner=replace(bands[k], image=images[k])
-            )
+        put = [replace(band, image=bands[order.get(k, k)].image) for k, band in enumerate(bands)]
+        # the pairs with the first band in which an image is another
+        changed = {
+            k: replace(pair, hub=put[0], partner=put[k])
             for k, pair in pairs.items()
+            if 0 in moved or k in moved
         }
-        if not all(put[k].matches() for k in moved if k):
+        if not all(changed[k].matches() for k in moved if k):
             continue
-        # pairs with the first band, when its image is another: some may look like nothing, but none gets lost
-        others = [k for k in pairs if 0 in moved and k not in moved]
-        good = [k for k in pairs if k in moved or (k in others and put[k].matches())]
-        if len(good) < SEVERAL or any(pairs[k].matches() for k in others if k not in good):
+        fits = given | {k: k in moved or pair.matches() for k, pair in changed.items()}
+        good = [k for k in changed if fits[k]]
+        # some of the others may look like nothing, but none gets lost
+        if len(good) < SEVERAL or any(given[k] and not fits[k] for k in changed):
             continue
-        if all(pairs[k].matches() for k in good):
-            continue  # lags alike: either order may be
-        names, count = tuple(bands[k].name for k in moved), sum(pair.matches() for pair in put.values())
-        if count <= best.pairs:
+        count = sum(fits.values())
+        # where all of them match as given, lags are alike, and either order may be
+        if all(given[k] for k in good) or count <= best.pairs:
             continue
+        names = tuple(bands[k].name for k in moved)
         if len(moved) > 2:
             words = "the images match in the reverse order: give the files of all bands from last to first"
         else:
