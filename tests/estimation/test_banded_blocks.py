@@ -102,6 +102,15 @@ def test_a_stored_band_and_its_factor_are_those_of_the_whole(monkeypatch, on_dis
         np.testing.assert_allclose(factor.inverse_band(width), whole.inverse_band(width), atol=1e-13)
 
 
+def test_a_band_that_is_filled_in_order_writes_each_piece_once(monkeypatch):
+    # what reaches over the end of a piece goes on in the next: neither leaves the memory for the other
+    put = []
+    keep = banded.Pieces.put
+    monkeypatch.setattr(banded.Pieces, "put", lambda pieces, k, one: put.append(k) or keep(pieces, k, one))
+    laid, _ = stored(system()[0], monkeypatch, on_disk=True)
+    assert put[: len(laid.spans())] == list(range(len(laid.spans())))
+
+
 def test_an_inverse_is_kept_for_who_asks_next(monkeypatch):
     band, _ = system()
     _, factor = stored(band, monkeypatch, on_disk=True)

@@ -141,8 +141,9 @@ class StoredBand:
         self.subdiagonals, self.n = min(subdiagonals, n - 1), n
         self._columns = piece_columns(self.subdiagonals)
         self._pieces = Pieces(8 * (self.subdiagonals + 1) * n)
-        #: The piece that something was added to last: not yet put back.
-        self._open: tuple[int, Array] | None = None
+        #: Pieces that something was added to, not yet put back: what reaches over an end of one goes on in
+        #: the next.
+        self._open: dict[int, Array] = {}
 
     @classmethod
     def of(cls, band: Array) -> StoredBand:
@@ -210,17 +211,20 @@ class StoredBand:
 
     def _opened(self, number: int, columns: int) -> Array:
         """A piece to be added to."""
-        if self._open is None or self._open[0] != number:
-            self._put_back()
+        if number not in self._open:
+            if len(self._open) == 2:
+                done = next(iter(self._open))
+                self._pieces.put(done, self._open.pop(done))
             piece = self._pieces.get(number)
-            self._open = number, np.zeros((self.subdiagonals + 1, columns)) if piece is None else piece
-        return self._open[1]
+            self._open[number] = np.zeros((self.subdiagonals + 1, columns)) if piece is None else piece
+        self._open[number] = self._open.pop(number)  # the one used last is last
+        return self._open[number]
 
     def _put_back(self) -> None:
         """Keep what was added last."""
-        if self._open is not None:
-            self._pieces.put(*self._open)
-            self._open = None
+        for number, piece in self._open.items():
+            self._pieces.put(number, piece)
+        self._open = {}
 
     def plus(self, other: StoredBand) -> StoredBand:
         """The sum of two matrices."""

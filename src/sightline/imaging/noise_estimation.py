@@ -379,7 +379,8 @@ def white_noise(blocks: Blocks, parts: int = PARTS) -> WhiteNoise:
     def solve(kept: NDArray[np.bool_]) -> Array:
         shared = np.stack([np.ones(kept.sum()), signal[kept] - centre])
         regressors, instruments = (np.vstack([shared, field[kept]]) for field in (texture, instrument))
-        answer = np.linalg.solve(instruments @ regressors.T, instruments @ white[kept])
+        # a scene that is as rough everywhere tells no third number
+        answer = np.linalg.lstsq(instruments @ regressors.T, instruments @ white[kept], rcond=None)[0]
         return np.append(answer[:2], white[kept].mean())
 
     if np.corrcoef(texture, instrument)[0, 1] < 2.0 / np.sqrt(use.sum()):

@@ -13,7 +13,15 @@ from sightline.imaging.source import ArrayImage
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
 from sightline.matching.whitening import gradient_filter, pair_whitening
-from sightline.motion.measure.aliasing import folding, phase_between, phase_bias, pooled_bias
+from sightline.motion.measure.aliasing import (
+    PHASE_STRETCHES,
+    PHASE_WINDOWS,
+    folding,
+    in_stretches,
+    phase_between,
+    phase_bias,
+    pooled_bias,
+)
 
 RATIO, SHAPE = 4, (120, 240)
 
@@ -250,3 +258,13 @@ def test_few_windows_tell_nothing():
     through = gradient_filter()
     assert (phase_bias(matched(49), through, rng.uniform(0.0, 1.0, (49, 2)))[1] == np.inf).all()
     assert (phase_bias(matched(60), through, rng.uniform(0.0, 1.0, (60, 2)))[1] < 0.02).all()
+
+
+@pytest.mark.parametrize("count", [0, 7, PHASE_WINDOWS, PHASE_WINDOWS + 1, 45_000])
+def test_windows_that_tell_the_bias_lie_in_stretches_from_the_first_to_the_last(count):
+    some = in_stretches(count)
+    assert len(some) == min(count, PHASE_WINDOWS)
+    assert (np.diff(some) > 0).all()
+    if count:
+        assert (some[0], some[-1]) == (0, count - 1)
+    assert (np.diff(some) > 1).sum() <= PHASE_STRETCHES - 1

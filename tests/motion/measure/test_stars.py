@@ -476,3 +476,8 @@ class TestPhaseBias:
         # lines lie a quarter of a pixel apart all over: nothing tells their bias, and nothing is put there
         assert record.filters[0].phase_bias[0] == 0.0
         assert along == pytest.approx(plain_along, abs=1e-9)
+
+    def test_a_rough_pass_does_not_look_for_it(self, strip, monkeypatch):
+        monkeypatch.setattr(type(self), "PLAN", replace(self.PLAN, rough=True))
+        record = self.slope(strip, 0, {})[3]
+        assert record.filters[0].phase_bias is None

@@ -665,6 +665,6 @@ def test_rows_far_apart_add_what_they_add_alone_and_hold_no_band_between_them() 
     np.testing.assert_allclose(whole.corner, one.corner + two.corner, rtol=1e-12)
     assert whole.rows == one.rows + two.rows
     # a band of two rows reaches over a lag, not over what lies between them: 15 s are 1,500 nodes
-    piece = equations._Piece(both, both.residual_px, both.t_hub, slice(0, 12))
+    piece = equations._Piece(both, both.residual_px, GroundOrder(), slice(0, 12))
     held = sum(part.ab.shape[1] for part in equations._summed(piece, many, 3, 60).stretches)
     assert held < 3 * 2 * (max(LAGS) / STEP + 4 + 20)

@@ -6,6 +6,7 @@ Not here: the ``ImageSource`` protocol (``imaging/source.py``), elevation raster
 from __future__ import annotations
 
 import threading
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,8 @@ class RasterImage:
         if self._type.kind not in "uif":
             raise FormatError(f"{self.path}: pixels are of type {self._type}; real numbers are expected")
         self._shape = (int(dataset.height), int(dataset.width))
+        # a local one reads nothing else: what GDAL may do needs no word at every window
+        self._alone = dataset.driver == "GTiff" and not self.access.network
         _refuse_wide(self.path, self._shape, len(self._bands))
         flags = [{flag.name for flag in dataset.mask_flag_enums[k - 1]} for k in self._bands]
         self._all_valid = all("all_valid" in one for one in flags)
@@ -156,7 +159,7 @@ class RasterImage:
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
         """Pixels of lines [first, last) and columns [first, last), float32, C order."""
         window = self._window(lines, columns)
-        with raster_errors(self.path), raster_environment(self.access):
+        with raster_errors(self.path), nullcontext() if self._alone else raster_environment(self.access):
             if len(self._bands) == 1:
                 data = self._dataset().read(self._bands[0], window=window)
             else:

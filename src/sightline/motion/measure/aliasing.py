@@ -25,8 +25,9 @@ Array = NDArray[np.float64]
 RESPONSE_STEP, RESPONSE_SPREAD = 0.05, 0.5
 #: Sigmas beyond which shifts do not tell how far aliasing explains them.
 FOLD_CLIP = 4.0
-#: Cycles per pixel below which detail is hardly aliased, and windows by which it is compared with all detail.
-HARDLY_ALIASED, PHASE_WINDOWS = 0.29, 3000
+#: Cycles per pixel below which detail is hardly aliased, windows by which it is compared with all detail, and
+#: in how many stretches of the strip these lie: reading what is between them would cost more than they do.
+HARDLY_ALIASED, PHASE_WINDOWS, PHASE_STRETCHES = 0.29, 3000, 15
 #: Sigmas by which the mean bias of a hub's pairs must be negative to be taken for one, and px of the largest.
 PHASE_SHOWN, PHASE_MOST = 4.0, 0.1
 #: px that the sigma of a bias may have to tell anything, and the fewest windows that do.
@@ -111,6 +112,15 @@ def phase_between(places: Array, found: Array, affine: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         nearest = np.stack([d * line - b * column, a * column - c * line], axis=1) / (a * d - b * c)[:, None]
     return np.asarray(-(places + nearest))
+
+
+def in_stretches(count: int) -> NDArray[np.intp]:
+    """Which of so many windows, row by row, tell the bias: all, or stretches evenly spaced over the strip."""
+    if count <= PHASE_WINDOWS:
+        return np.arange(count)
+    each = PHASE_WINDOWS // PHASE_STRETCHES
+    first = np.linspace(0, count - each, PHASE_STRETCHES).astype(np.intp)
+    return np.asarray((first[:, None] + np.arange(each)).ravel())
 
 
 def phase_bias(

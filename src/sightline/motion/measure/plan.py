@@ -68,6 +68,9 @@ class MatchingPlan:
         One of WEIGHTINGS: how matches count.
     lag : float
         Lines (of the finest image) of the shortest lag: rows and windows of coarse ones must not outlast it.
+    rough : bool
+        Later passes match again: what adds hundredths of a pixel, or a share of the motion that is left, is
+        not looked for.
     predicted : tuple of (columns, 2) or None
         Of every image, the relative sigma along lines and columns of a match at each of its columns, as
         predicted from MTF and SNR; only ratios matter, and only with weighting ``"predicted"``.
@@ -81,6 +84,7 @@ class MatchingPlan:
     similarity: str = "whitened"
     weighting: str = "covariance"
     lag: float = math.inf
+    rough: bool = False
     predicted: tuple[Array | None, ...] = ()
 
     def coarser(self, ratio: tuple[float, float]) -> MatchingPlan:

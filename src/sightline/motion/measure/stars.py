@@ -28,9 +28,9 @@ from sightline.matching.select import chosen_windows
 from sightline.matching.whitening import TILES, Whitening, gradient_filter, pair_whitening
 from sightline.motion.measure.aliasing import (
     PHASE_SIGMA,
-    PHASE_WINDOWS,
     RESPONSE_STEP,
     folding,
+    in_stretches,
     phase_between,
     phase_bias,
     pooled_bias,
@@ -148,9 +148,11 @@ class _Strips:
         return self.grid.narrow(self.images[self.hub].shape[1])
 
     @cached_property
-    def rough(self) -> bool:
+    def uneven(self) -> bool:
         """Whether the hub's lines are so uneven that matches must be asked how they answer."""
-        return not self.searched and uneven(self.cameras[self.hub], self.surface)
+        if self.searched or self.plan.rough:
+            return False
+        return uneven(self.cameras[self.hub], self.surface)
 
     @cached_property
     def finest(self) -> int | None:
@@ -395,8 +397,9 @@ def _with_phase_bias(
 ) -> list[Whitening | None]:
     """Filters with what aliasing adds to matches of like images through them, as far as these tell it."""
     hub, grid, image = strips.hub, strips.grid, strips.images[strips.hub]
-    plain = strips.plan.similarity == "whitened" and not strips.searched and not strips.narrow
-    if not plain or strips.rough or strips.finest is not None:
+    plan = strips.plan
+    plain = plan.similarity == "whitened" and not (strips.searched or plan.rough or strips.narrow)
+    if not plain or strips.uneven or strips.finest is not None:
         return whitenings
     centres = grid.centres
     # rows that share no pixel
@@ -409,7 +412,7 @@ def _with_phase_bias(
             continue
         if not _alike(strips.cameras, hub, partners[j]):
             continue
-        some = some[np.unique(np.linspace(0, len(some) - 1, min(len(some), PHASE_WINDOWS)).astype(int))]
+        some = some[in_stretches(len(some))]
         points, other = centres[some], laid[j]
 
         def matched(through: Whitening, points: Array = points, other: ImageSource = other) -> Matches:
@@ -444,7 +447,7 @@ def _measured(
     matches = matched(partner.laid, step)
     finer = strips.finer(partner.image)
     tdi = any(getattr(cameras[image], "stages", None) is not None for image in (hub, partner.image))
-    unlike = finer or strips.rough or strips.finest is not None
+    unlike = finer or strips.uneven or strips.finest is not None
     pooled = unlike or tdi or plan.weighting != "covariance"
     for some in [slice(0, grid.count)] if pooled else grid.stretches():
         good = matches.kept[some] & partner.moved[some] & partner.seen[some]
@@ -455,7 +458,7 @@ def _measured(
             steps = ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
             moved = [matched(strips.laid(partner.image, moved=further)) for further in steps]
             turn = turn @ np.linalg.inv(response(matches, moved)[good])
-        elif strips.rough:
+        elif strips.uneven:
 
             def laid_by(other: Sequence[MovingCamera]) -> Matches:
                 return matched(laid_on(strips.images, other, strips.surface, hub, partner.image))

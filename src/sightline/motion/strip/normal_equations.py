@@ -660,10 +660,12 @@ def normal_equations(
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
     chi2, rows = 0.0, 0
     pieces = [
-        _Piece(star, left, order.of(star.t_hub), part, slow)
+        _Piece(star, left, order, part, slow)
         for star, left, order in zip(stars, measured, orders, strict=True)
         for part in _parts(star, PART_ROWS if slow is None else SLOW_ROWS)
     ]
+    # those of all stars in the order of time, so that what lies on disk is gone through once
+    pieces.sort(key=lambda piece: float(piece.star.t_hub[piece.part.start]))
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
     at_once = _at_once(pieces, grid, block, width)
     for begin in range(0, len(pieces), at_once):
@@ -715,13 +717,17 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """Some rows of windows of a star, what stands on their left side, and their ground's times."""
+    """Some rows of windows of a star, what stands on their left side, and where their ground lies."""
 
     star: Star
     measured: Array
-    t_ground: Array
+    order: GroundOrder
     part: slice
     slow: SlowErrors | None = None
+
+    def t_ground(self, windows: slice) -> Array:
+        """When the ground of some windows is on the grid, s."""
+        return self.order.of(self.star.t_hub[windows])
 
     def beside(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
         """Which unknowns of the border move these windows, and by how much, (G, K, 2, C)."""
@@ -729,7 +735,7 @@ class _Piece:
         fixed = np.arange(by_static.shape[3])
         if self.slow is None:
             return fixed, by_static
-        near, moved = self.slow.columns(self.star, self.t_ground[self.part])
+        near, moved = self.slow.columns(self.star, self.t_ground(self.part))
         which = np.concatenate([fixed, len(fixed) + np.arange(near.start, near.stop)])
         return which, np.concatenate([by_static, moved], axis=3)
 
@@ -739,7 +745,7 @@ class _Piece:
         What a star has left over at either end of a strip would otherwise have a band as long as the strip.
         """
         star, part, blocks, support = self.star, self.part, self.star.shape[1], _support(self.star, grid)
-        columns = [star.t_hub[part, None], star.t[part], self.t_ground[part, None]]
+        columns = [star.t_hub[part, None], star.t[part], self.t_ground(part)[:, None]]
         by_row = np.concatenate(columns, axis=1).reshape((part.stop - part.start) // blocks, -1)
         reach = 0.5 * star.longest + 4 * grid.step
         lows = np.floor((np.nanmin(by_row, axis=1) - reach - grid.start) / grid.step).astype(int)
@@ -798,7 +804,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
         squares, count = _accumulate(
             star.t_hub[part],
             star.t[part],
-            piece.t_ground[part],
+            piece.t_ground(part),
             star.duration,
             star.duration + star.stretch,
             tdi_hub[part],
