@@ -450,11 +450,13 @@ def test_the_picture_is_the_mean_of_tiles_and_its_window_where_all_its_bands_mee
     assert own[0] == pytest.approx([31.0 + 0.01 * 267.0, 31.0 + 0.99 * 267.0], abs=3.0)
 
 
-def test_places_are_shown_by_the_frame_that_sees_them_best_line_after_line():
+@pytest.mark.parametrize("run", [1, 4])
+def test_places_are_shown_by_the_frame_that_sees_them_best_line_after_line(run):
     """Pinholes and the choice written out: two frames, five groups of bands in turn, lines that stand in."""
     lines, columns, period, focal, principal = 24, 41, (2, 3), 60.0, (10.5, 21.0)
     # entries of each line: (group, middle of the group, its half height, whether the line stands in)
-    entries = [[(k % 5, 6.0 + 3.0 * (k % 5), 7.5 - 0.5 * (k % 5), False)] for k in range(lines)]
+    of_line = [k // run % 5 for k in range(lines)]
+    entries = [[(g, 6.0 + 3.0 * g, 7.5 - 0.5 * g, False)] for g in of_line]
     for k in (13, 14):
         entries[k].append((0, 6.0, 7.5, True))
     offset = np.concatenate([[0], np.cumsum([len(one) for one in entries])])

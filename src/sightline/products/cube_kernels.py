@@ -54,51 +54,78 @@ def place_weights() -> Array32:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def seen_at(point, matrices, positions, lens, coefficients, reach, lines, guess):  # type: ignore[no-untyped-def]
-    """(line, column) at which a frame sees a world point (3,); NaN behind it or beyond the lens.
+def _pose(matrix, position):  # type: ignore[no-untyped-def]
+    m, p = matrix, position
+    return (
+        m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2], p[0], p[1], p[2],
+    )  # fmt: skip
 
-    The line of a rolling shutter is looked for from `guess` on, that of a place beside it.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def frame_numbers(matrices, positions, lens, coefficients):  # type: ignore[no-untyped-def]
+    """A frame for `seen_at`, as numbers: a loop need not ask memory for them at every place.
 
     `matrices` (K, 3, 3) camera_from_world and `positions` (K, 3), K = 1, or 3 for the first, middle and last
-    line; `lens` focal length, principal line, principal column.
+    line; `lens` focal length, principal line, principal column; `coefficients` (5,) of the distortion.
     """
-    rolling = matrices.shape[0] == 3
+    k, last = min(1, len(matrices) - 1), len(matrices) - 1
+    c = coefficients
+    return (
+        _pose(matrices[0], positions[0]),
+        _pose(matrices[k], positions[k]),
+        _pose(matrices[last], positions[last]),
+        (lens[0], lens[1], lens[2]),
+        (c[0], c[1], c[2], c[3], c[4]),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _mixed(a, first, b, middle, c, last):  # type: ignore[no-untyped-def]
+    """The pose with such shares of three."""
+    return (
+        a * first[0] + b * middle[0] + c * last[0],
+        a * first[1] + b * middle[1] + c * last[1],
+        a * first[2] + b * middle[2] + c * last[2],
+        a * first[3] + b * middle[3] + c * last[3],
+        a * first[4] + b * middle[4] + c * last[4],
+        a * first[5] + b * middle[5] + c * last[5],
+        a * first[6] + b * middle[6] + c * last[6],
+        a * first[7] + b * middle[7] + c * last[7],
+        a * first[8] + b * middle[8] + c * last[8],
+        a * first[9] + b * middle[9] + c * last[9],
+        a * first[10] + b * middle[10] + c * last[10],
+        a * first[11] + b * middle[11] + c * last[11],
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def seen_at(x, y, z, frame, rolling, reach, lines, guess):  # type: ignore[no-untyped-def]
+    """(line, column) at which a frame sees a world point; NaN behind it or beyond the lens.
+
+    The line of a rolling shutter is looked for from `guess` on, that of a place beside it; `frame` is as
+    `frame_numbers` gives it.
+    """
+    pose, middle, last, lens, coefficients = frame
+    first = pose
     line, column = guess, np.nan
     for _ in range(_LINE_STEPS if rolling else 1):
-        a, b, c = 1.0, 0.0, 0.0
-        if rolling:
-            s = min(max(line / (lines - 1.0), -0.5), 1.5)
-            a, b, c = (1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)
-        px = point[0] - a * positions[0, 0]
-        py = point[1] - a * positions[0, 1]
-        pz = point[2] - a * positions[0, 2]
-        m = matrices[0]
-        qx = a * (m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz)
-        qy = a * (m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz)
-        qz = a * (m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz)
         if rolling:
             # the interpolated matrix about the interpolated place
-            px -= b * positions[1, 0] + c * positions[2, 0]
-            py -= b * positions[1, 1] + c * positions[2, 1]
-            pz -= b * positions[1, 2] + c * positions[2, 2]
-            n, o = matrices[1], matrices[2]
-            qx = (a * m[0, 0] + b * n[0, 0] + c * o[0, 0]) * px
-            qx += (a * m[0, 1] + b * n[0, 1] + c * o[0, 1]) * py
-            qx += (a * m[0, 2] + b * n[0, 2] + c * o[0, 2]) * pz
-            qy = (a * m[1, 0] + b * n[1, 0] + c * o[1, 0]) * px
-            qy += (a * m[1, 1] + b * n[1, 1] + c * o[1, 1]) * py
-            qy += (a * m[1, 2] + b * n[1, 2] + c * o[1, 2]) * pz
-            qz = (a * m[2, 0] + b * n[2, 0] + c * o[2, 0]) * px
-            qz += (a * m[2, 1] + b * n[2, 1] + c * o[2, 1]) * py
-            qz += (a * m[2, 2] + b * n[2, 2] + c * o[2, 2]) * pz
+            s = min(max(line / (lines - 1.0), -0.5), 1.5)
+            a, b, c = (1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)
+            pose = _mixed(a, first, b, middle, c, last)
+        px, py, pz = x - pose[9], y - pose[10], z - pose[11]
+        qx = pose[0] * px + pose[1] * py + pose[2] * pz
+        qy = pose[3] * px + pose[4] * py + pose[5] * pz
+        qz = pose[6] * px + pose[7] * py + pose[8] * pz
         if qz <= 0.0:
             return np.nan, np.nan
-        x, y = qx / qz, qy / qz
-        if x * x + y * y > reach * reach:
+        right, down = qx / qz, qy / qz
+        if right * right + down * down > reach * reach:
             return np.nan, np.nan
-        x, y = brown(x, y, coefficients)
+        right, down = brown(right, down, coefficients)
         before = line
-        line, column = lens[1] + lens[0] * y, lens[2] + lens[0] * x
+        line, column = lens[1] + lens[0] * down, lens[2] + lens[0] * right
         if abs(line - before) < _LINE_ENOUGH:
             break
     return line, column
@@ -109,6 +136,25 @@ def inside(line, column, shape, period):  # type: ignore[no-untyped-def]
     """Whether pixels of every band lie on all sides of a place, so that none is made up beyond the frame."""
     low, left = period[0] - 1.0, period[1] - 1.0
     return low <= line <= shape[0] - period[0] and left <= column <= shape[1] - period[1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _begun_at(offset, entry_group, spare):  # type: ignore[no-untyped-def]
+    """Groups that begin at each line: those of line l from ``first[l]`` to ``first[l + 1]``."""
+    lines = len(offset) - 1
+    first, groups = np.zeros(lines + 1, np.int64), np.empty(len(entry_group), np.int64)
+    before = np.full(entry_group.max() + 1, -2)
+    for line in range(lines):
+        first[line + 1] = first[line]
+        for e in range(offset[line], offset[line + 1]):
+            g = entry_group[e]
+            if spare[e] or before[g] == line:
+                continue
+            if before[g] != line - 1:
+                groups[first[line + 1]] = g
+                first[line + 1] += 1
+            before[g] = line
+    return first, groups
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -126,9 +172,12 @@ def choose_views(  # type: ignore[no-untyped-def]
     lines, columns = shape
     middle = 0.5 * (columns - 1.0)
     guess = 0.5 * (lines - 1.0)
+    numbers, rolling = frame_numbers(matrices, positions, lens, coefficients), len(matrices) == 3
+    begin, begun = _begun_at(offset, entry_group, spare)
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
-            line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines, guess)
+            x, y, z = world[i, j, 0], world[i, j, 1], world[i, j, 2]
+            line, column = seen_at(x, y, z, numbers, rolling, reach, lines, guess)
             if not inside(line, column, shape, period):
                 last[i, j] = np.nan
                 continue
@@ -144,9 +193,12 @@ def choose_views(  # type: ignore[no-untyped-def]
                     view[g, i, j] = frame
                     beyond[g, i, j] = spare[e]
             other = at if np.isnan(last[i, j]) else int(np.floor(last[i, j] + 0.5))
-            for e in range(offset[min(at, other)], offset[max(at, other) + 1]):
+            low, high = min(at, other), max(at, other)
+            for e in range(offset[low], offset[low + 1]):
                 if not spare[e]:
                     passed[entry_group[e], i, j] = True
+            for e in range(begin[low + 1], begin[high + 1]):
+                passed[begun[e], i, j] = True
             last[i, j] = line
 
 
@@ -176,11 +228,12 @@ def see_places(  # type: ignore[no-untyped-def]
     """(line, column) at which a frame sees places, flat indices over groups and `world` (n, 3)."""
     lines = shape[0]
     guess = 0.5 * (lines - 1.0)
+    numbers, rolling = frame_numbers(matrices, positions, lens, coefficients), len(matrices) == 3
     count = world.shape[0]
     for n in range(places.shape[0]):
-        line, column = seen_at(
-            world[places[n] % count], matrices, positions, lens, coefficients, reach, lines, guess
-        )
+        k = places[n] % count
+        x, y, z = world[k, 0], world[k, 1], world[k, 2]
+        line, column = seen_at(x, y, z, numbers, rolling, reach, lines, guess)
         guess = line
         pixels[n, 0], pixels[n, 1] = line, column
 
