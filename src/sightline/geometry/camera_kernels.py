@@ -29,7 +29,7 @@ _PLANE_STEPS, _PLANE_STEP, _LEFT_OUT = 8, 1e-5, 1e-7
 _SCAN, _COARSE = 96, 12
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _stencil(x: float, count: int) -> tuple[int, float, float, float, float]:
     """First row and four weights of place `x` in a table of `count` (at least 4) rows."""
     start = min(max(int(np.floor(x)) - 1, 0), count - 4)
@@ -37,7 +37,7 @@ def _stencil(x: float, count: int) -> tuple[int, float, float, float, float]:
     return start, w0, w1, w2, w3
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _slope_weights(x: float) -> tuple[float, float, float, float]:
     """What the weights of `_stencil` change by with the place, `x` rows after its first row."""
     a, b, c = x - 1.0, x - 2.0, x - 3.0
@@ -112,7 +112,7 @@ def line_rays(
             origins[n, k] = origin[k] + row[9 + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _into_camera(table: Array, x: float) -> tuple[float, ...]:
     """What leads into the camera at table place `x`: three rows, their sign, and the place of the camera.
 
@@ -148,7 +148,7 @@ def _into_camera(table: Array, x: float) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _seen(into: tuple[float, ...], p: tuple[float, float, float]) -> tuple[float, float, float]:
     """Vector from the camera to the point `p` (less the origin), camera axes; its length to second order."""
     ax, ay, az, bx, by, bz, cx, cy, cz, sign, x, y, z = into
@@ -201,7 +201,7 @@ def _miss(
     return across - height, column, cz
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _plane(planes: Array, x: float) -> tuple[float, float, float, float]:
     """The plane of the detector line at place `x`."""
     i, w0, w1, w2, w3 = _stencil(x, len(planes))
@@ -214,7 +214,7 @@ def _plane(planes: Array, x: float) -> tuple[float, float, float, float]:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _beside(planes: Array, x: float, p: tuple[float, float, float]) -> tuple[float, float]:
     """How far the point lies beside the plane of the detector line at place `x`, and how that changes."""
     i, w0, w1, w2, w3 = _stencil(x, len(planes))
@@ -397,7 +397,7 @@ def find_lines(
             a, fa = b, fb
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def brown(x: float, y: float, k: Array) -> tuple[float, float]:
     """Distorted tangents (D. C. Brown): k = k1, k2, p1, p2, k3."""
     r2 = x * x + y * y
