@@ -202,7 +202,7 @@ def test_strips_of_one_detector_are_pooled():
             np.minimum(raw(70, 3000.0), LEVEL + 2900.0),
             "% of its pixels are cut off, at 7 and 2960 DN, and show no noise",
         ),
-        (np.add.outer(np.arange(1600.0), np.zeros(256)), "no noise that grows with their signal"),
+        (np.add.outer(np.arange(1600.0), np.zeros(256)), "as rough everywhere"),
     ],
     ids=["small", "constant", "saturated", "no noise"],
 )

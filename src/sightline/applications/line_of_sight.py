@@ -439,7 +439,8 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
         if found < before + FOUND_AGAIN:
             break
         state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
-    # once more about the motion found: what was left of the first linearisation is gone before dense matching
+    # once more about the motion found: nearly all that was left of the first linearisation is gone before
+    # dense matching
     plan = replace(strip.plan(options, options.first_window, options.first_window[0]), rough=True)
     step = steps_of(tell, "first pass: matching once more")
     nodes, statics = state.estimate.nodes, state.estimate.statics

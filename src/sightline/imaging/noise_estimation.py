@@ -49,6 +49,8 @@ FARTHEST_CODE, MOST_CODES = 4.0, 100
 DRIFT_BIAS = 0.015
 #: Least share of a block's pixels that must hold a value.
 LEAST_SHARE = 0.9
+#: Spread of a scene's roughness, as a share of it, that is rounding.
+EVENLY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -363,7 +365,8 @@ def white_noise(blocks: Blocks, parts: int = PARTS) -> WhiteNoise:
     Raises
     ------
     EstimationError
-        If there are fewer than 10 blocks a part, or roughness does not last from block to block.
+        If there are fewer than 10 blocks a part, or roughness does not last from block to block, or is the
+        same in all of them.
     """
     beside = _of_neighbours(blocks.texture)
     use = np.isfinite(blocks.white) & np.isfinite(beside)
@@ -379,10 +382,11 @@ def white_noise(blocks: Blocks, parts: int = PARTS) -> WhiteNoise:
     def solve(kept: NDArray[np.bool_]) -> Array:
         shared = np.stack([np.ones(kept.sum()), signal[kept] - centre])
         regressors, instruments = (np.vstack([shared, field[kept]]) for field in (texture, instrument))
-        # a scene that is as rough everywhere tells no third number
-        answer = np.linalg.lstsq(instruments @ regressors.T, instruments @ white[kept], rcond=None)[0]
+        answer = np.linalg.solve(instruments @ regressors.T, instruments @ white[kept])
         return np.append(answer[:2], white[kept].mean())
 
+    if texture.std() <= EVENLY * np.abs(texture).mean():
+        raise EstimationError("the scene is as rough everywhere, and noise passes for it; give another strip")
     if np.corrcoef(texture, instrument)[0, 1] < 2.0 / np.sqrt(use.sum()):
         raise EstimationError("the scene's roughness does not last from block to block; give another strip")
     whole = solve(np.ones(signal.size, dtype=bool))

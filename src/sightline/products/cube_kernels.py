@@ -143,7 +143,7 @@ def _begun_at(offset, entry_group, spare):  # type: ignore[no-untyped-def]
     """Groups that begin at each line: those of line l from ``first[l]`` to ``first[l + 1]``."""
     lines = len(offset) - 1
     first, groups = np.zeros(lines + 1, np.int64), np.empty(len(entry_group), np.int64)
-    before = np.full(entry_group.max() + 1, -2)
+    before = np.full(entry_group.max() + 1 if len(entry_group) else 0, -2)
     for line in range(lines):
         first[line + 1] = first[line]
         for e in range(offset[line], offset[line + 1]):

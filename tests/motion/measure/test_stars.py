@@ -477,7 +477,12 @@ class TestPhaseBias:
         assert record.filters[0].phase_bias[0] == 0.0
         assert along == pytest.approx(plain_along, abs=1e-9)
 
-    def test_a_rough_pass_does_not_look_for_it(self, strip, monkeypatch):
+    def test_a_rough_pass_looks_neither_for_it_nor_for_uneven_lines(self, strip, monkeypatch):
+        asked = []
+        monkeypatch.setattr(stars, "uneven", lambda *_: asked.append(True) or False)
+        self.slope(strip, 0, {})
+        assert asked
+        asked.clear()
         monkeypatch.setattr(type(self), "PLAN", replace(self.PLAN, rough=True))
         record = self.slope(strip, 0, {})[3]
-        assert record.filters[0].phase_bias is None
+        assert record.filters[0].phase_bias is None and not asked

@@ -69,8 +69,8 @@ class MatchingPlan:
     lag : float
         Lines (of the finest image) of the shortest lag: rows and windows of coarse ones must not outlast it.
     rough : bool
-        Later passes match again: what adds hundredths of a pixel, or a share of the motion that is left, is
-        not looked for.
+        Later passes match again: how matches answer where lines stand unevenly, and what aliasing adds to
+        those of like images, is not looked for.
     predicted : tuple of (columns, 2) or None
         Of every image, the relative sigma along lines and columns of a match at each of its columns, as
         predicted from MTF and SNR; only ratios matter, and only with weighting ``"predicted"``.
