@@ -54,8 +54,8 @@ def place_weights() -> Array32:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pose(matrix, position):  # type: ignore[no-untyped-def]
-    m, p = matrix, position
+def _pose(m, p):  # type: ignore[no-untyped-def]
+    """The nine numbers of a matrix and the three of a position."""
     return (
         m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2], p[0], p[1], p[2],
     )  # fmt: skip
@@ -105,8 +105,8 @@ def seen_at(x, y, z, frame, rolling, reach, lines, guess):  # type: ignore[no-un
     The line of a rolling shutter is looked for from `guess` on, that of a place beside it; `frame` is as
     `frame_numbers` gives it.
     """
-    pose, middle, last, lens, coefficients = frame
-    first = pose
+    first, middle, last, lens, coefficients = frame
+    pose = first
     line, column = guess, np.nan
     for _ in range(_LINE_STEPS if rolling else 1):
         if rolling:

@@ -6,7 +6,7 @@ Not here: the ``ImageSource`` protocol (``imaging/source.py``), elevation raster
 from __future__ import annotations
 
 import threading
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,6 @@ class RasterImage:
         if self._type.kind not in "uif":
             raise FormatError(f"{self.path}: pixels are of type {self._type}; real numbers are expected")
         self._shape = (int(dataset.height), int(dataset.width))
-        # a local one reads nothing else: what GDAL may do needs no word at every window
         self._alone = dataset.driver == "GTiff" and not self.access.network
         _refuse_wide(self.path, self._shape, len(self._bands))
         flags = [{flag.name for flag in dataset.mask_flag_enums[k - 1]} for k in self._bands]
@@ -149,6 +148,10 @@ class RasterImage:
             self._local.dataset = dataset
         return dataset
 
+    def _environment(self) -> AbstractContextManager[None]:
+        """What GDAL may do while it reads pixels: a local TIFF holds them all, and needs no word for it."""
+        return nullcontext() if self._alone else raster_environment(self.access)
+
     def _window(
         self, lines: tuple[int, int], columns: tuple[int, int]
     ) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -159,7 +162,7 @@ class RasterImage:
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
         """Pixels of lines [first, last) and columns [first, last), float32, C order."""
         window = self._window(lines, columns)
-        with raster_errors(self.path), nullcontext() if self._alone else raster_environment(self.access):
+        with raster_errors(self.path), self._environment():
             if len(self._bands) == 1:
                 data = self._dataset().read(self._bands[0], window=window)
             else:
@@ -169,7 +172,7 @@ class RasterImage:
     def read_stored(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[Any]:
         """The same pixels as the file holds them, of type `dtype`; of the first of several bands."""
         window = self._window(lines, columns)
-        with raster_errors(self.path), raster_environment(self.access):
+        with raster_errors(self.path), self._environment():
             pixels: NDArray[Any] = self._dataset().read(self._bands[0], window=window)
         return pixels
 

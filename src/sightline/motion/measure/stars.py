@@ -137,6 +137,11 @@ class _Strips:
         """Whether windows are searched for: then nothing finer is known yet."""
         return max(self.plan.search_px) > 0
 
+    @property
+    def rough(self) -> bool:
+        """Whether a later pass looks closer: then hundredths of a pixel are left to it."""
+        return self.searched or self.plan.rough
+
     @cached_property
     def blurred(self) -> Sequence[MovingCamera]:
         """Cameras with which images of pixels like the hub's are laid on it."""
@@ -150,9 +155,7 @@ class _Strips:
     @cached_property
     def uneven(self) -> bool:
         """Whether the hub's lines are so uneven that matches must be asked how they answer."""
-        if self.searched or self.plan.rough:
-            return False
-        return uneven(self.cameras[self.hub], self.surface)
+        return not self.rough and uneven(self.cameras[self.hub], self.surface)
 
     @cached_property
     def finest(self) -> int | None:
@@ -397,8 +400,7 @@ def _with_phase_bias(
 ) -> list[Whitening | None]:
     """Filters with what aliasing adds to matches of like images through them, as far as these tell it."""
     hub, grid, image = strips.hub, strips.grid, strips.images[strips.hub]
-    plan = strips.plan
-    plain = plan.similarity == "whitened" and not (strips.searched or plan.rough or strips.narrow)
+    plain = strips.plan.similarity == "whitened" and not strips.rough and not strips.narrow
     if not plain or strips.uneven or strips.finest is not None:
         return whitenings
     centres = grid.centres
