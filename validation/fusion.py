@@ -86,8 +86,13 @@ def dense_covariances() -> tuple[Array, Array]:
     lag = np.arange(COUNT) * STEP
     a, b = np.sqrt(5.0) * lag, np.sqrt(3.0) * lag / CORNER
     body = 4.0 * (1.0 + a + a * a / 3.0) * np.exp(-a) + 0.01 * (1.0 + b) * np.exp(-b)
-    decay = np.exp(-np.pi * BANDWIDTH * lag)
-    return toeplitz(body), toeplitz(sum(s * s * decay * np.cos(2.0 * np.pi * f * lag) for s, f in TONES))
+    return toeplitz(body), toeplitz(sum(s * s * oscillation(lag, f) for s, f in TONES))
+
+
+def oscillation(lag: Array, f: float) -> Array:
+    """Correlation of a damped oscillator with itself, `lag` (s) later."""
+    turn = 2.0 * np.pi * f * lag
+    return np.exp(-np.pi * BANDWIDTH * lag) * (np.cos(turn) + BANDWIDTH / (2.0 * f) * np.sin(turn))
 
 
 FIXES = np.minimum(np.round(np.arange(17) * 0.125 / STEP).astype(int), COUNT - 1)

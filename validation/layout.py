@@ -187,7 +187,9 @@ def from_prior(rng: np.random.Generator) -> Callable[[Array], Array]:
     a, b = np.sqrt(5.0) * lag, 2.0 * np.pi * CORNER * lag
     covariance = 4.0 * (1.0 + a + a * a / 3.0) * np.exp(-a) + 0.01 * (1.0 + b) * np.exp(-b)
     for s, f in TONES:
-        covariance += s * s * np.exp(-np.pi * BANDWIDTH * lag) * np.cos(2.0 * np.pi * f * lag)
+        turn = 2.0 * np.pi * f * lag
+        shape = np.cos(turn) + BANDWIDTH / (2.0 * f) * np.sin(turn)
+        covariance += s * s * np.exp(-np.pi * BANDWIDTH * lag) * shape
     power = np.maximum(np.fft.rfft(covariance).real, 0.0)
     wave = rng.normal(size=len(power)) + 1j * rng.normal(size=len(power))
     values = np.fft.irfft(wave * np.sqrt(0.5 * power * count), count)

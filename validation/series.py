@@ -66,8 +66,13 @@ def dense_covariance() -> Array:
     a, b = np.sqrt(5.0) * lag, np.sqrt(3.0) * lag / CORNER
     drift = 4.0 * (1.0 + a + a * a / 3.0) * np.exp(-a)
     broadband = 0.01 * (1.0 + b) * np.exp(-b)
-    lines = sum(s * s * np.exp(-np.pi * BANDWIDTH * lag) * np.cos(2.0 * np.pi * f * lag) for s, f in TONES)
-    return toeplitz(drift + broadband + lines)
+    return toeplitz(drift + broadband + sum(s * s * oscillation(lag, f) for s, f in TONES))
+
+
+def oscillation(lag: Array, f: float) -> Array:
+    """Correlation of a damped oscillator with itself, `lag` (s) later."""
+    turn = 2.0 * np.pi * f * lag
+    return np.exp(-np.pi * BANDWIDTH * lag) * (np.cos(turn) + BANDWIDTH / (2.0 * f) * np.sin(turn))
 
 
 def draw(rng: np.random.Generator, root: Array) -> Array:

@@ -28,7 +28,8 @@ class DenseReference:
         lag = np.arange(n) * self.step
         a, b = np.sqrt(5.0) * lag / timescale, np.sqrt(3.0) * lag / 0.005
         row = drift**2 * (1.0 + a + a * a / 3.0) * np.exp(-a) + 0.01 * (1.0 + b) * np.exp(-b)
-        row += 0.09 * np.exp(-np.pi * 0.8 * lag) * np.cos(2.0 * np.pi * 47.0 * lag)
+        turn = 2.0 * np.pi * 47.0 * lag
+        row += 0.09 * np.exp(-np.pi * 0.8 * lag) * (np.cos(turn) + 0.8 / (2.0 * 47.0) * np.sin(turn))
         row[0] *= 1.0 + 1e-10
         return toeplitz(row)
 

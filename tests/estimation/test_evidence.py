@@ -161,9 +161,9 @@ def test_the_evidence_of_a_very_long_lag_is_that_of_celerite2() -> None:
     step, n, sigma = 5e-3, 200, 0.05
     t = step * np.arange(n)
     part = Tone(0.3, 20.0, 10.0)
-    term = celerite2.terms.ComplexTerm(
-        a=2.0 * part.sigma**2, b=0.0, c=np.pi * part.bandwidth, d=2.0 * np.pi * part.frequency
-    )
+    damping, turn = np.pi * part.bandwidth, 2.0 * np.pi * part.frequency
+    own = np.hypot(damping, turn)
+    term = celerite2.terms.SHOTerm(sigma=np.sqrt(2.0) * part.sigma, rho=2.0 * np.pi / own, tau=1.0 / damping)
     process = celerite2.GaussianProcess(term, mean=0.0)
     process.compute(t, diag=np.full(n, sigma**2))
     y = 0.3 * np.sin(2.0 * np.pi * 20.0 * t) + sigma * rng.normal(size=n)

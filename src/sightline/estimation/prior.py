@@ -136,7 +136,7 @@ class Matern:
 
 @dataclass(frozen=True)
 class Tone:
-    """A narrow line of the spectrum: an instrument mode.
+    """A narrow line of the spectrum: a mode of a structure, as an oscillator that noise drives.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ class Tone:
     frequency : float
         Hz.
     bandwidth : float
-        Hz, full width at half maximum of the line (Lorentzian); its phase wanders over a time
-        of ``1 / (pi bandwidth)``.
+        Hz, full width at half maximum of the line, which falls as f^-4 above it; its phase wanders over a
+        time of ``1 / (pi bandwidth)``.
     """
 
     sigma: float
@@ -159,19 +159,20 @@ class Tone:
         _positive("bandwidth", self.bandwidth, "hertz")
 
     def autocovariance(self, lags: Array) -> Array:
-        """Covariance of two values `lags` (s) apart: a damped cosine."""
+        """Covariance of two values `lags` (s) apart: what a damped oscillator still knows of where it was."""
         lags = np.abs(lags)
-        decay = np.exp(-math.pi * self.bandwidth * lags)
-        return np.asarray(
-            self.sigma**2 * decay * np.cos(2.0 * math.pi * self.frequency * lags), dtype=np.float64
-        )
+        damping, turn = math.pi * self.bandwidth * lags, 2.0 * math.pi * self.frequency * lags
+        # the second part keeps the speed of a body that has mass: a damped cosine alone would have none, and
+        # the tails of its line (Lorentzian) would pass for jitter of all frequencies
+        shape = np.cos(turn) + 0.5 * self.bandwidth / self.frequency * np.sin(turn)
+        return np.asarray(self.sigma**2 * np.exp(-damping) * shape, dtype=np.float64)
 
     def psd(self, frequency: Array) -> Array:
         """One-sided power spectral density at `frequency` (Hz)."""
-        f = np.asarray(frequency)
-        half = 0.5 * self.bandwidth
-        lines = half / (half**2 + (f - self.frequency) ** 2) + half / (half**2 + (f + self.frequency) ** 2)
-        return np.asarray(self.sigma**2 / math.pi * lines, dtype=np.float64)
+        square = np.asarray(frequency, dtype=np.float64) ** 2
+        own = self.frequency**2 + 0.25 * self.bandwidth**2
+        line = (square - own) ** 2 + self.bandwidth**2 * square
+        return np.asarray(2.0 / math.pi * self.sigma**2 * self.bandwidth * own / line)
 
 
 @dataclass(frozen=True)

@@ -284,8 +284,8 @@ def _flatten(series: Sequence[DifferenceSeries], independent: float) -> _Flat:
 def _with_interpolation_error(flat: _Flat, grid: Grid, spectrum: Spectrum) -> _Flat:
     """The measurements with what the motion does between nodes added to the variance of each image.
 
-    A tone counts as a pure one: the Lorentzian that models the wandering of its phase has tails that no
-    real mode has, and they would dominate.
+    A tone counts as a pure one: what models the wandering of its phase has tails beyond what a real mode may
+    have, and they would dominate.
     """
     bins = 32
     parts = [replace(c, bandwidth=1e-9) if isinstance(c, Tone) else c for c in spectrum.components]

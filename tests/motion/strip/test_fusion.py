@@ -157,9 +157,10 @@ def test_tones_that_a_gyro_may_not_feel_are_whitened_away():
     rows = rows_of(
         gyro(edges, np.zeros((30, 3)), 0.05 * IFOV), unfelt=unfelt_tones([tone, SPECTRUM, SPECTRUM])
     )
-    # by hand: increments of a damped cosine, and white noise
-    lag = np.arange(31) * 0.01
-    angle = toeplitz((UNFELT * 0.3 * IFOV) ** 2 * np.exp(-np.pi * 0.8 * lag) * np.cos(2 * np.pi * 47.0 * lag))
+    # by hand: increments of a damped oscillator, and white noise
+    lag, turn = np.arange(31) * 0.01, 2 * np.pi * 47.0 * np.arange(31) * 0.01
+    shape = np.exp(-np.pi * 0.8 * lag) * (np.cos(turn) + 0.8 / 94.0 * np.sin(turn))
+    angle = toeplitz((UNFELT * 0.3 * IFOV) ** 2 * shape)
     step = np.diff(np.eye(31), axis=0)
     covariance = step @ angle @ step.T + (0.05 * IFOV) ** 2 * np.eye(30)
     w = rows.whiten.toarray()

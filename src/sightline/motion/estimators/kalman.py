@@ -63,7 +63,7 @@ def state_space(prior: Spectrum, step: float) -> StateSpace:
     Notes
     -----
     Hartikainen and Särkkä (2010): a Matern process of p derivatives is a critically damped oscillator of
-    order p + 1; a tone is a rotation that is damped at pi times its bandwidth.
+    order p + 1; a tone is one that is damped at pi times its bandwidth.
     """
     from scipy.linalg import block_diag
 
@@ -87,9 +87,15 @@ def _part(part: object, step: float) -> tuple[Array, Array]:
 
 
 def _tone(tone: Tone, step: float) -> tuple[Array, Array]:
-    turn = 2.0 * math.pi * tone.frequency * step
-    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-    return math.exp(-math.pi * tone.bandwidth * step) * rotation, tone.sigma**2 * np.eye(2)
+    """Of its place, and its speed in units of the place: in those of the undamped oscillator."""
+    damping, turn = math.pi * tone.bandwidth, 2.0 * math.pi * tone.frequency
+    own, share = math.hypot(damping, turn), damping / turn
+    cosine, sine = math.cos(turn * step), math.sin(turn * step)
+    transition = np.array([
+        [cosine + share * sine, own / turn * sine],
+        [-own / turn * sine, cosine - share * sine],
+    ])  # fmt: skip
+    return math.exp(-damping * step) * transition, tone.sigma**2 * np.eye(2)
 
 
 def _matern(part: Matern, step: float) -> tuple[Array, Array]:
