@@ -47,9 +47,7 @@ S1 = np.array([0.0, 0.1500, 0.1574, 0.1722])
 PERIOD, SIGMA, DURATION = 1e-3, 0.03, 2.0  # s, px of a match per row, s
 GRID = 0.5 * PERIOD  # of the smoother: 13 nodes in a period of 150 Hz
 TONES = ((0.30, 47.0), (0.15, 83.0), (0.08, 121.0))
-# A Lorentzian line falls as 1/f^2 only: lines of 0.8 Hz would leave 0.007 px above half the row rate, which
-# no real mode has and no row samples.
-BANDWIDTH, CORNER = 0.1, 30.0
+BANDWIDTH, CORNER = 0.8, 30.0  # Hz
 PRIOR = Spectrum(
     (
         Matern(2.0, 1.0, "5/2"),

@@ -36,7 +36,7 @@ BELIEF = 3.0
 #: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
 #: shows, and one that is too narrow costs more than one that is too wide. In short data no more than this
 #: share of the frequency, twice the damping of a structure: as wide as the data are short, every tone would
-#: bring jitter of all frequencies.
+#: bring jitter of many frequencies.
 BANDWIDTH_BELIEF, WIDEST = 1.2, 0.03
 #: The same of the corner of the broadband part where another axis of the same body shows it: a factor of 2.
 CORNER_BELIEF = 0.7

@@ -465,7 +465,7 @@ def test_a_hidden_tone_becomes_as_large_and_as_narrow_as_it_is_found() -> None:
         model = hidden.learned(model, estimate, (0.0, 0.6))
         widths.append(model.unseen[1][0].bandwidth)
     (tone,) = model.unseen[1]
-    # a Lorentzian has some of its power beyond where it is looked at: a tenth
+    # the line has some of its power beyond where it is looked at: a tenth
     assert tone.sigma == pytest.approx(0.1, rel=0.1)
     assert tone.frequency == pytest.approx(121.0, abs=0.3)
     assert np.all(np.diff(widths) < 0.0) and widths[-1] < 0.5
