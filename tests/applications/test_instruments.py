@@ -52,7 +52,7 @@ def recovered(case, folder, **overrides):
     write_instrument(scenario, folder)
     acquired = load_acquisition(folder / "acquisition.toml")
     # fewer compensated passes than usual: tests must be quick
-    passes = 2 if case in ("dedicated-matrix", "staggered", "multi-line") else 1
+    passes = 2 if case in ("pushbroom", "dedicated-matrix", "staggered", "multi-line") else 1
     quick = replace(acquired, matching={**acquired.matching, "passes": passes})
     result = recover_acquisition(quick, silent)
     truth = scenario.truth
