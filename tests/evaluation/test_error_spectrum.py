@@ -12,12 +12,13 @@ from sightline.evaluation.error_spectrum import error_psd
 
 def test_its_integral_is_about_the_square_of_the_stated_sigma(recovery):
     result = recovery.result
-    frequency = np.linspace(0.0, 1000.0, 8001)[1:]
+    # what turns less than once in the strip, of 0.32 s, is hidden, and no part of the sigma that is stated
+    frequency = np.linspace(3.125, 1000.0, 8001)
     rms = np.sqrt(np.trapezoid(error_psd(result, frequency), frequency, axis=0))
-    # The formula knows an endless strip and no unknown statics; the median sigma of a strip of 640 lines, of
-    # which 345 are seen by a single pair of lags only, is larger, but by less than a factor of two.
+    # The formula knows an endless strip and no unknown statics; sigma is that of ends, too, and of the half
+    # that a single pair of lags sees
     assert (rms < 1.1 * np.median(result.sigma, axis=0)).all()
-    assert (rms > 0.5 * np.median(result.sigma, axis=0)).all()
+    assert (rms > 0.8 * np.median(result.sigma, axis=0)).all()
 
 
 def test_where_nothing_is_measured_the_error_is_the_motion_itself(recovery):
@@ -36,7 +37,11 @@ def test_the_error_is_less_than_the_prior_and_less_than_that_of_the_matches_alon
     alone = error_psd(replace(result, spectra=None), frequency)
     prior = np.stack([spectrum.psd(frequency) for spectrum in result.spectra], axis=1)
     assert (error <= prior).all() and (error <= alone).all()
-    np.testing.assert_allclose(1.0 / error, 1.0 / prior + 1.0 / alone, rtol=1e-9)
+    # as of a Wiener smoother, where no other axis takes part of what is seen; roll and yaw, which move what
+    # looks ahead alike, know more of each other by their priors
+    bound = 1.0 / (1.0 / prior + 1.0 / alone)
+    np.testing.assert_allclose(error[:, 1], bound[:, 1], rtol=1e-2)
+    assert (error <= 1.0001 * bound).all()
 
 
 def test_products_of_hidden_modes_are_errors_and_no_motion(recovery):

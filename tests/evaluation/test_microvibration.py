@@ -32,9 +32,10 @@ def test_the_smear_is_as_wrong_as_its_sigma_says(recovery):
     truth = read_motion(recovery.scene / "truth.csv")
     true = np.gradient(truth.angles / result.scale, axis=0)
     smear = line_smear(result)
-    inside = slice(20, -20)
-    ratio = np.sqrt(np.mean((smear.px[inside] - true[inside]) ** 2, axis=0)) / smear.sigma_px
-    # one strip of 640 lines; densities of pairs add as if no image were shared (up to 1.4 in sigma)
+    # a drift is hidden, and with it an even smear
+    error = (smear.px - true)[20:-20]
+    ratio = np.std(error, axis=0) / smear.sigma_px
+    # one strip of 640 lines: half of it is motion of 150 Hz and more, which nothing shows, by a fitted size
     assert ((ratio > 0.5) & (ratio < 1.6)).all(), ratio
 
 

@@ -31,7 +31,10 @@ def recovery(weight=1.0, duration=0.0):
         t=t_hub[:, None] + LAG,
         duration=duration,
         covariance_px=np.broadcast_to(SIGMA_PX**2 * np.eye(2), (t_hub.size, 1, 2, 2)),
+        by_hub=-slope,
         by_partner=slope,
+        correlation=np.eye(2),
+        stretches=lambda: [slice(0, t_hub.size)],
         weight=np.full((t_hub.size, 1), weight),
         present=present,
     )

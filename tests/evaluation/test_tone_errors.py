@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sightline.estimation.prior import Spectrum, Tone
 from sightline.evaluation.tone_errors import judged_tones
 from sightline.geometry.trajectory import Motion
 from sightline.motion.results import TimeCovariance
@@ -21,7 +20,7 @@ SCATTER = 1e-2
 
 def hidden_error(size: float):
     """Covariance (N, N) of an error that looks like a tone of 47 Hz: an estimate beside a blind frequency."""
-    return toeplitz(Spectrum((Tone(size, 47.0, 0.5),)).autocovariance(T))
+    return toeplitz(size**2 * np.exp(-np.pi * 0.5 * T) * np.cos(2 * np.pi * 47.0 * T))
 
 
 def estimate(c, seed: int, whole: bool = False) -> SimpleNamespace:

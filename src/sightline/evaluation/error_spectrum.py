@@ -29,21 +29,23 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections
 
     Notes
     -----
-    Measurements of error density N, of a motion of density S, leave the smoothed estimate the error density
-    ``1 / (1/S + 1/N)`` (the error of a Wiener smoother): N where the motion is seen well, S where it is not.
-    N is T times the variance of a steady tone's amplitude over the strip's duration T (``observed.py``),
-    infinite at blind frequencies. Without a prior the error is N alone. The motion of another method adds the
+    Measurements that tell M of the densities of roll, pitch and yaw, of motions of the densities S, leave the
+    smoothed estimate the error density ``(S^-1 + M)^-1`` (the error of a Wiener smoother): 1 / M where the
+    motion is seen well, S where it is not. M is a tone's information over the strip's duration
+    (``observed.py``). Without a prior the error is that of M alone. The motion of another method adds the
     density of its departure from that estimate; products of what TDI averages away (`intermodulation`) are
     errors however well they are seen.
     """
     f = np.asarray(frequency, dtype=np.float64)
     seen = seen if seen is not None else observed(result, f)
-    measured = seen.tone_sigma**2 * float(np.ptp(result.motion.t))
+    duration = float(np.ptp(result.motion.t))
     if result.spectra is None:
-        return np.asarray(measured)
+        return np.asarray(seen.tone_sigma**2 * duration)
     prior = np.stack([one.psd(f) for one in result.spectra], axis=1)
-    with np.errstate(divide="ignore"):
-        error = np.asarray(1.0 / (1.0 / prior + 1.0 / measured))
+    # in units of the prior: densities of motion fall over many powers of ten
+    size = np.sqrt(prior)
+    told = seen.information / duration * size[:, :, None] * size[:, None, :]
+    error = prior * np.einsum("faa->fa", np.linalg.inv(np.eye(3) + told)).real
     for axis, products in enumerate(result.intermodulation):
         if products is not None:
             error[:, axis] += products.psd(f)

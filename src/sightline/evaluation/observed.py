@@ -7,19 +7,19 @@ Not here: what a lag sees in principle (``motion/observability.py``), errors aga
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.geometry.camera import PushbroomCamera
-from sightline.motion.measure.observations import Star
+from sightline.motion.measure.observations import Star, scale_residuals
 from sightline.motion.observability import (
     Passbands,
     averaged_away,
     blind_frequencies,
     intervals_above,
-    power_transfer,
     window_gain,
 )
 from sightline.motion.results import LineOfSight
@@ -39,8 +39,10 @@ class MatchedDirections:
     ----------
     frequency : (F,)
         Hz.
+    information : (F, 3, 3) complex
+        rad^-2, about amplitudes of steady tones of roll, pitch and yaw through the whole strip; Hermitian.
     tone_sigma : (F, 3)
-        rad; 1-sigma of the amplitude of a steady tone through the whole strip; infinite where blind.
+        rad; 1-sigma of each amplitude, whatever the other two are; infinite where blind.
     seen : (F, 3) bool
         Where a tone of 0.1 px (yaw: at the field's edge) would stand out by 5 sigma, from one period per
         strip on.
@@ -51,6 +53,7 @@ class MatchedDirections:
     """
 
     frequency: Array
+    information: NDArray[np.complex128]
     tone_sigma: Array
     seen: NDArray[np.bool_]
     passbands: tuple[Passbands, Passbands, Passbands]
@@ -62,44 +65,58 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
 
     Notes
     -----
-    A pair that brings the information R per second (1/rad^2/s) about a difference of angles leaves the motion
-    an error of one-sided density ``2 / (R |G|^2 W^2)``, G that of its lag and W of its window; densities of
-    several pairs add as their inverses (the error of a shared image is counted as if it were not shared,
-    which moves a band's edge by less than its own width). Over a time T the amplitude of a tone then has the
-    variance ``2 / (T sum of R |G|^2 W^2)``. Control points, where they alone carry the motion, bring their
-    information about the angles themselves, up to half the rate at which they stand.
+    The matches of a hub's pairs see a motion at f through ``A = H + P exp(2 pi i f lag)``, H and P their
+    sensitivities to the angles of the hub and of the partner, times what window and stages leave of it. They
+    err together (the hub's error is in all of them), and as rows of windows err alike: with C the covariance
+    that the estimate used, tones have the information ``A^H C^-1 A / 2``, summed over all windows. A turn
+    about the line of sight moves what looks ahead across it, so axes hide each other. Control points, where
+    they alone carry the motion, bring their information about the angles themselves, up to half the rate at
+    which they stand.
     """
     f = np.asarray(frequency, dtype=np.float64)
-    total = np.zeros((len(f), 3))
+    total = np.zeros((len(f), 3, 3), dtype=np.complex128)
     blind = {}
     for record in result.records:
         star = record.star
-        for k, image in enumerate(star.images):
-            information, lag = _information(star, k)
-            if not np.isfinite(lag) or lag == 0.0:
-                continue
-            shape = power_transfer(f, lag) * window_gain(f, star.duration) ** 2
-            upper = float(f[-1])
-            here = blind_frequencies(lag, upper)
+        lags, information = _information(star)
+        known = np.isfinite(lags)
+        phase = 2j * np.pi * f[:, None] * np.where(known, lags, 0.0)
+        gain = np.stack([np.ones_like(phase), np.exp(phase)], axis=2)  # (F, K, 2): of the hub, of the partner
+        if star.tdi_hub is not None:
+            for k in np.flatnonzero(known):
+                gain[:, k] *= _left_by_stages(star, int(k), f)
+        seen = np.einsum("fku,kualvb,flv->fab", gain.conj(), information, gain, optimize=True)
+        total += 0.5 * window_gain(f, star.duration)[:, None, None] ** 2 * seen
+        for k in np.flatnonzero(known & (lags != 0.0)):
+            image, upper = star.images[k], float(f[-1])
+            here = blind_frequencies(float(lags[k]), upper)
             if star.tdi_hub is not None:
-                shape *= _left_by_stages(star, k, f)
                 stages = _stage_times(result, star.hub), _stage_times(result, image)
                 if all(stages):
                     here = np.unique(np.concatenate([here, averaged_away([*stages[0], *stages[1]], upper)]))
-            total += shape[:, None] * information
             blind[star.hub, image] = here
     if result.control is not None:
         # instants of the angles themselves: seen from 0 Hz to half their rate
         points = result.control.t[result.control.kept]
         nyquist = 0.5 * max(len(np.unique(points)) - 1, 0) / max(float(np.ptp(points)), 1e-12)
-        total += (f <= nyquist)[:, None] * result.control.information
+        total += 0.5 * np.where((f <= nyquist)[:, None, None], np.diag(result.control.information), 0.0)
+    sigma = _amplitudes(total, result.scale)
     with np.errstate(divide="ignore"):
-        sigma = np.sqrt(2.0 / total)
         margin = SEEN_TONE_PX * result.scale / (SEEN_SIGMAS * sigma)
     duration = float(result.motion.t[-1] - result.motion.t[0])
     margin[f * duration < 1.0] = 0.0  # less than one period: like a drift
     bands = [intervals_above(f, np.minimum(margin[:, axis], 2.0), 1.0) for axis in range(3)]
-    return MatchedDirections(f, sigma, margin >= 1.0, (bands[0], bands[1], bands[2]), blind)
+    return MatchedDirections(f, total, sigma, margin >= 1.0, (bands[0], bands[1], bands[2]), blind)
+
+
+def _amplitudes(information: NDArray[np.complex128], scale: Array) -> Array:
+    """(F, 3) rad: sigmas of amplitudes, from their information (F, 3, 3); infinite where nothing is told."""
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    least = np.finfo(np.float64).eps * values[:, -1:]  # smaller ones are of rounding
+    with np.errstate(divide="ignore", invalid="ignore"):
+        parts = np.abs(vectors) ** 2 / np.maximum(values, least)[:, None, :]
+    parts[np.isnan(parts)] = np.inf  # no information at all
+    return np.asarray(np.sqrt(parts.sum(axis=2)) * scale)
 
 
 def _stage_times(result: LineOfSight, image: int) -> tuple[float, ...]:
@@ -109,24 +126,44 @@ def _stage_times(result: LineOfSight, image: int) -> tuple[float, ...]:
 
 
 def _left_by_stages(star: Star, k: int, f: Array) -> Array:
-    """(F,) share of the power of a motion that TDI leaves in the kept windows of a pair, on average."""
+    """(F, 2) what TDI leaves of a motion in the kept windows of a pair, hub and partner, on average."""
     kept = star.present[:, k]
     times, counts = np.unique(
         np.round(np.stack([t[kept] for t in (star.averaging()[0], star.averaging()[1][:, k])], axis=1), 9),
         axis=0,
         return_counts=True,
     )
-    left = 0.5 * (np.sinc(f * times[:, :1]) ** 2 + np.sinc(f * times[:, 1:]) ** 2)
-    return np.asarray((counts[:, None] * left).sum(axis=0) / counts.sum())
+    power = np.sinc(f[:, None, None] * times) ** 2  # (F, kinds, 2)
+    return np.asarray(np.sqrt(np.average(power, axis=1, weights=counts)))
 
 
-def _information(star: Star, k: int) -> tuple[Array, float]:
-    """Of one pair: information (3,) about roll, pitch, yaw differences, 1/rad^2; median lag, s."""
-    kept = star.present[:, k]
-    if not kept.any():
-        return np.zeros(3), float("nan")
-    lag = float(np.median((star.t[:, k] - star.t_hub)[kept]))
-    slope = star.by_partner[kept, k].astype(np.float64)
-    weighted = np.linalg.solve(star.covariance_px[kept, k], slope)
-    each = np.einsum("gia,gia->ga", slope, weighted)
-    return np.asarray((each * star.weight[kept, k, None]).sum(axis=0)), lag
+def _information(star: Star) -> tuple[Array, Array]:
+    """Median lags (K,) s of the pairs, and what they tell of the angles together, (K, 2, 3, K, 2, 3) rad^-2.
+
+    Of roll, pitch and yaw of the hub and of the partner, pair by pair: the sensitivities of all windows
+    through the inverse covariance of their matches. A lag is NaN where a pair has no match.
+    """
+    present = star.present
+    lags = np.array([
+        float(np.median((t - star.t_hub)[kept])) if kept.any() else math.nan
+        for t, kept in zip(star.t.T, present.T, strict=True)
+    ])  # fmt: skip
+    count, angles = len(lags), np.arange(6)
+    total = np.zeros((count, 6, count, 6))
+    for some in star.stretches():
+        here = present[some]
+        for kept in np.unique(here[here.any(axis=1)], axis=0):
+            pairs = np.flatnonzero(kept)
+            at = np.ix_(some.start + np.flatnonzero((here == kept).all(axis=1)), pairs)
+            slope = np.concatenate([star.by_hub[at], star.by_partner[at]], axis=3, dtype=np.float64)
+            weight = np.repeat(np.sqrt(star.weight[at]), 2, axis=1)
+            rows = np.stack(
+                [scale_residuals(one, star.covariance_px[at]) * weight for one in np.moveaxis(slope, 3, 0)],
+                axis=2,
+            )  # (G, 2k, 6)
+            both = np.repeat(2 * pairs, 2) + np.tile([0, 1], len(pairs))
+            inverse = np.linalg.inv(star.correlation[np.ix_(both, both)])
+            squares = np.tensordot(rows, rows, axes=(0, 0)) * inverse[:, None, :, None]
+            each = squares.reshape(len(pairs), 2, 6, len(pairs), 2, 6).sum(axis=(1, 4))
+            total[np.ix_(pairs, angles, pairs, angles)] += each
+    return lags, total.reshape(count, 2, 3, count, 2, 3)

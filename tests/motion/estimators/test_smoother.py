@@ -170,8 +170,8 @@ def test_what_is_found_in_the_data_serves_as_the_prior(series) -> None:  # type:
 
 
 def test_on_a_fine_grid_what_begins_late_is_known_too(series) -> None:  # type: ignore[no-untyped-def]
-    # a fit on the middle of the motion, all that a fine grid leaves room for at so long a lag, took what rings
-    # out later for noise: errors of twelve sigma
+    # a fit on the middle of the motion, all that a fine grid leaves room for at so long a lag, knew nothing
+    # of what is struck later: errors of twelve sigma
     rng = np.random.default_rng(5)
     t = series.step * np.arange(1200)
     since = np.maximum(t - 0.95, 0.0)

@@ -109,8 +109,8 @@ def smooth(
     grid = Grid.covering(min(first, times[0]) - margin, max(last, times[-1]) + margin, step)
     if prior is None:
         # An autoregression tells tones apart that its memory of so many steps holds a period of their
-        # difference of: on a finer grid than the differences ask for, dying tones were taken for others, and a
-        # fit that had room for the middle of the motion alone knew nothing of what began later.
+        # difference of: on a finer grid than the differences ask for, dying tones were taken for others, and
+        # a fit that had room for the middle of the motion alone knew nothing of what began later.
         coarse = None if grid_step is None or grid_step <= default_step(series[0]) else grid_step
         prior = fit_spectra(differences, grid_step=coarse, offset_sigma=offset_sigma, independent=independent)
     angles = np.empty((len(times), 3))
