@@ -280,6 +280,22 @@ def default_step(series: Sequence[DifferenceSeries]) -> float:
     return float(np.clip(shortest / 7.0, spacing / 5.0, spacing))
 
 
+def fitting_step(series: Sequence[DifferenceSeries], work: float = WORK) -> float:
+    """Grid step (s) on which `fit_spectrum` fits a set of series whole, or most of it, where none is given."""
+    first, last = span(series)
+    usual = default_step(series)
+    # at a node to a row, a tone of more than a third of their rate bends between nodes: what rows hold of
+    # it would pass for noise, and the noise of rows for jitter
+    finest = min(usual, _spacing(series) / NODES_IN_ROW)
+    whole = ((last - first) * _longest_lag(series) ** 2 / work) ** (1 / 3)
+    return float(np.clip(whole, finest, 3.0 * usual))
+
+
+def _longest_lag(series: Sequence[DifferenceSeries]) -> float:
+    """s; of all measurements of all series."""
+    return max(float(np.max(np.abs(s.lag[s.used]))) for s in series if s.used.any())
+
+
 def _spacing(series: Sequence[DifferenceSeries]) -> float:
     """Sampling step (s) of the most densely sampled series."""
     steps = [np.diff(np.unique(s.t[s.used])) for s in series]
@@ -342,13 +358,8 @@ def _fitting_grid(
 ) -> tuple[Grid, list[DifferenceSeries]]:
     """Grid for the fit, coarse or short enough for `work`, and the measurements on it."""
     first, last = span(series)
-    lag = max(float(np.max(np.abs(s.lag[s.used]))) for s in series)
-    if step is None:
-        usual = default_step(series)
-        # at a node to a row, a tone of more than a third of their rate bends between nodes: what rows hold of
-        # it would pass for noise, and the noise of rows for jitter
-        finest = min(usual, _spacing(series) / NODES_IN_ROW)
-        step = float(np.clip(((last - first) * lag**2 / work) ** (1 / 3), finest, 3.0 * usual))
+    lag = _longest_lag(series)
+    step = fitting_step(series, work) if step is None else step
     length = max(work * step**3 / lag**2, 4.0 * lag)
     if length < 0.9 * (last - first):
         middle = 0.5 * (first + last)

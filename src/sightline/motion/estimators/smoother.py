@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
 from sightline.estimation.evidence import Posterior, posterior
-from sightline.estimation.likelihood import FittedSpectrum, default_step, fit_spectrum, span
+from sightline.estimation.likelihood import FittedSpectrum, default_step, fit_spectrum, fitting_step, span
 from sightline.estimation.prior import Spectrum
 from sightline.estimation.robust import expected_innovations, student_weights
 from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
@@ -109,9 +109,10 @@ def smooth(
     grid = Grid.covering(min(first, times[0]) - margin, max(last, times[-1]) + margin, step)
     if prior is None:
         # An autoregression tells tones apart that its memory of so many steps holds a period of their
-        # difference of: on a finer grid than the differences ask for, dying tones were taken for others, and
+        # difference of: on a finer grid than the fit asks for, dying tones were taken for others, and
         # a fit that had room for the middle of the motion alone knew nothing of what began later.
-        coarse = None if grid_step is None or grid_step <= default_step(series[0]) else grid_step
+        own = max(default_step(series[0]), fitting_step(series[0]))
+        coarse = None if grid_step is None or grid_step <= own else grid_step
         prior = fit_spectra(differences, grid_step=coarse, offset_sigma=offset_sigma, independent=independent)
     angles = np.empty((len(times), 3))
     covariance = np.zeros((len(times), 3, 3))
