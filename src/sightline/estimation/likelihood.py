@@ -281,7 +281,7 @@ def default_step(series: Sequence[DifferenceSeries]) -> float:
 
 
 def fitting_step(series: Sequence[DifferenceSeries], work: float = WORK) -> float:
-    """Grid step (s) on which `fit_spectrum` fits a set of series whole, or most of it, where none is given."""
+    """Grid step (s) on which `fit_spectrum` fits a set of series as a whole, or most of it, by default."""
     first, last = span(series)
     usual = default_step(series)
     # at a node to a row, a tone of more than a third of their rate bends between nodes: what rows hold of

@@ -126,15 +126,17 @@ def _stage_times(result: LineOfSight, image: int) -> tuple[float, ...]:
 
 
 def _left_by_stages(star: Star, k: int, f: Array) -> Array:
-    """(F, 2) what TDI leaves of a motion in the kept windows of a pair, hub and partner, on average."""
+    """(F, 2) what TDI leaves of a motion in the kept windows of a pair, of hub and partner, on average."""
     kept = star.present[:, k]
     times, counts = np.unique(
         np.round(np.stack([t[kept] for t in (star.averaging()[0], star.averaging()[1][:, k])], axis=1), 9),
         axis=0,
         return_counts=True,
     )
-    power = np.sinc(f[:, None, None] * times) ** 2  # (F, kinds, 2)
-    return np.asarray(np.sqrt(np.average(power, axis=1, weights=counts)))
+    left = np.sinc(f[:, None, None] * times)  # (F, kinds, 2)
+    size = np.sqrt(np.average(left**2, axis=1, weights=counts))
+    # beyond the first frequency that they average away, stages leave a motion upside down
+    return np.asarray(np.copysign(size, np.average(left, axis=1, weights=counts)))
 
 
 def _information(star: Star) -> tuple[Array, Array]:
