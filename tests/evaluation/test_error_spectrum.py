@@ -8,6 +8,7 @@ import numpy as np
 
 from sightline.estimation.prior import Spectrum, Tone
 from sightline.evaluation.error_spectrum import error_psd
+from sightline.evaluation.observed import observed
 
 
 def test_its_integral_is_about_the_square_of_the_stated_sigma(recovery):
@@ -31,11 +32,25 @@ def test_where_nothing_is_measured_the_error_is_the_motion_itself(recovery):
     np.testing.assert_allclose(error_psd(replace(result, records=blind), frequency), prior)
 
 
+def test_a_constant_is_hidden_on_every_axis(recovery):
+    # of yaw, too, though it moves what looks ahead otherwise than what looks back
+    result, frequency = recovery.result, np.array([0.0, 10.0])
+    assert "constant of yaw" in result.hidden_names
+    prior = np.stack([spectrum.psd(frequency) for spectrum in result.spectra], axis=1)
+    error = error_psd(result, frequency)
+    np.testing.assert_allclose(error[0], prior[0])
+    assert (error[1] < 0.1 * prior[1]).all()
+
+
 def test_the_error_is_less_than_the_prior_and_less_than_that_of_the_matches_alone(recovery):
     result, frequency = recovery.result, np.linspace(1.0, 450.0, 200)
     error = error_psd(result, frequency)
     alone = error_psd(replace(result, spectra=None), frequency)
     prior = np.stack([spectrum.psd(frequency) for spectrum in result.spectra], axis=1)
+    # as written, without units in which it stays exact where densities are far apart
+    told = observed(result, frequency).information / np.ptp(result.motion.t)
+    both = np.linalg.inv(told + np.eye(3) / prior[:, :, None])
+    np.testing.assert_allclose(error, np.einsum("faa->fa", both).real, rtol=1e-6)
     assert (error <= prior).all() and (error <= alone).all()
     # as of a Wiener smoother, where no other axis takes part of what is seen; roll and yaw, which move what
     # looks ahead alike, know more of each other by their priors
