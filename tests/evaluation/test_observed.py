@@ -35,7 +35,6 @@ def recovery(weight=1.0, duration=0.0):
         by_hub=-slope,
         by_partner=slope,
         correlation=np.eye(2),
-        stretches=lambda: [slice(0, t_hub.size)],
         weight=np.full((t_hub.size, 1), weight),
         present=present,
     )

@@ -20,6 +20,7 @@ SCATTER = 1e-2
 
 def hidden_error(size: float):
     """Covariance (N, N) of an error that looks like a tone of 47 Hz: an estimate beside a blind frequency."""
+    # a damped cosine, which is no tone of a prior: some of it lies beside 47 Hz
     return toeplitz(size**2 * np.exp(-np.pi * 0.5 * T) * np.cos(2 * np.pi * 47.0 * T))
 
 

@@ -24,7 +24,7 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections
     result : LineOfSight
     frequency : (F,)
         Hz.
-    seen : Observed, optional
+    seen : MatchedDirections, optional
         What the matches see at the same frequencies, where it is known already.
 
     Notes

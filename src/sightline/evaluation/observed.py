@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 #: A frequency is seen where a steady tone of this amplitude (px) would stand out by so many sigmas.
 SEEN_TONE_PX = 0.1
 SEEN_SIGMAS = 5.0
+#: Windows of a star from which information is summed: by chance it is a hundredth off.
+ENOUGH_WINDOWS = 16384
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class MatchedDirections:
     information : (F, 3, 3) complex
         rad^-2, about amplitudes of steady tones of roll, pitch and yaw through the whole strip; Hermitian.
     tone_sigma : (F, 3)
-        rad; 1-sigma of each amplitude, whatever the other two are; infinite where blind.
+        rad; 1-sigma of each amplitude, whatever the other two are; infinite, or past all sizes, where blind.
     seen : (F, 3) bool
         Where a tone of 0.1 px (yaw: at the field's edge) would stand out by 5 sigma, from one period per
         strip on.
@@ -144,7 +146,8 @@ def _information(star: Star) -> tuple[Array, Array]:
     """Median lags (K,) s of the pairs, and what they tell of the angles together, (K, 2, 3, K, 2, 3) rad^-2.
 
     Of roll, pitch and yaw of the hub and of the partner, pair by pair: the sensitivities of all windows
-    through the inverse covariance of their matches. A lag is NaN where a pair has no match.
+    through the inverse covariance of their matches. A lag is NaN where a pair has no match. Of very many
+    windows some stand for all: each set of pairs that saw a window has an inverse of its own.
     """
     present = star.present
     lags = np.array([
@@ -153,20 +156,24 @@ def _information(star: Star) -> tuple[Array, Array]:
     ])  # fmt: skip
     count, angles = len(lags), np.arange(6)
     total = np.zeros((count, 6, count, 6))
-    for some in star.stretches():
-        here = present[some]
-        for kept in np.unique(here[here.any(axis=1)], axis=0):
-            pairs = np.flatnonzero(kept)
-            at = np.ix_(some.start + np.flatnonzero((here == kept).all(axis=1)), pairs)
-            slope = np.concatenate([star.by_hub[at], star.by_partner[at]], axis=3, dtype=np.float64)
-            weight = np.repeat(np.sqrt(star.weight[at]), 2, axis=1)
-            rows = np.stack(
-                [scale_residuals(one, star.covariance_px[at]) * weight for one in np.moveaxis(slope, 3, 0)],
-                axis=2,
-            )  # (G, 2k, 6)
-            both = np.repeat(2 * pairs, 2) + np.tile([0, 1], len(pairs))
-            inverse = np.linalg.inv(star.correlation[np.ix_(both, both)])
-            squares = np.tensordot(rows, rows, axes=(0, 0)) * inverse[:, None, :, None]
-            each = squares.reshape(len(pairs), 2, 6, len(pairs), 2, 6).sum(axis=(1, 4))
-            total[np.ix_(pairs, angles, pairs, angles)] += each
+    windows = np.arange(len(present))
+    if len(windows) > ENOUGH_WINDOWS:
+        # drawn: even steps could meet the same column of each row
+        windows = np.sort(np.random.default_rng(0).choice(windows, ENOUGH_WINDOWS, replace=False))
+    here = present[windows]
+    for kept in np.unique(here[here.any(axis=1)], axis=0):
+        pairs = np.flatnonzero(kept)
+        at = np.ix_(windows[(here == kept).all(axis=1)], pairs)
+        slope = np.concatenate([star.by_hub[at], star.by_partner[at]], axis=3, dtype=np.float64)
+        weight = np.repeat(np.sqrt(star.weight[at]), 2, axis=1)
+        rows = np.stack(
+            [scale_residuals(one, star.covariance_px[at]) * weight for one in np.moveaxis(slope, 3, 0)],
+            axis=2,
+        )  # (G, 2k, 6)
+        both = np.repeat(2 * pairs, 2) + np.tile([0, 1], len(pairs))
+        inverse = np.linalg.inv(star.correlation[np.ix_(both, both)])
+        squares = np.tensordot(rows, rows, axes=(0, 0)) * inverse[:, None, :, None]
+        each = squares.reshape(len(pairs), 2, 6, len(pairs), 2, 6).sum(axis=(1, 4))
+        total[np.ix_(pairs, angles, pairs, angles)] += each
+    total *= len(present) / max(len(windows), 1)
     return lags, total.reshape(count, 2, 3, count, 2, 3)
