@@ -67,6 +67,17 @@ def test_half_the_weight_is_half_the_information():
     assert ratio == pytest.approx(np.sqrt(2.0))
 
 
+def test_some_of_very_many_windows_stand_for_all(monkeypatch):
+    f = np.array([17.0])
+    every = observed(recovery(), f).tone_sigma[0]
+    monkeypatch.setattr("sightline.evaluation.observed.ENOUGH_WINDOWS", 2500)
+    some = observed(recovery(), f).tone_sigma[0]
+    # all windows tell the same of roll and pitch; of yaw the square of their place, .5 +- .42 in the mean of
+    # five: half of three times .42 / .5 / sqrt(2500)
+    assert some[:2] == pytest.approx(every[:2], rel=1e-6)
+    assert some[2] == pytest.approx(every[2], rel=0.025) and some[2] != every[2]
+
+
 def test_the_passband_ends_at_the_blind_frequencies_of_the_lag():
     f = np.linspace(0.0, 100.0, 20_001)
     # So many matches that the lowest edge is that of one period per strip, not of noise.
