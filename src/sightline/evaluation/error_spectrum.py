@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.evaluation.observed import MatchedDirections, observed
+from sightline.evaluation.observed import observed
 from sightline.geometry.trajectory import Motion
 from sightline.motion.results import LineOfSight
 from sightline.motion.tones import spectrum
@@ -16,7 +16,7 @@ from sightline.motion.tones import spectrum
 Array = NDArray[np.float64]
 
 
-def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections | None = None) -> Array:
+def error_psd(result: LineOfSight, frequency: ArrayLike) -> Array:
     """One-sided PSD (F, 3) rad^2/Hz of the error of roll, pitch, yaw at `frequency` (F,) Hz.
 
     Parameters
@@ -24,8 +24,6 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections
     result : LineOfSight
     frequency : (F,)
         Hz.
-    seen : MatchedDirections, optional
-        What the matches see at the same frequencies, where it is known already.
 
     Notes
     -----
@@ -37,7 +35,7 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections
     errors however well they are seen.
     """
     f = np.asarray(frequency, dtype=np.float64)
-    seen = seen if seen is not None else observed(result, f)
+    seen = observed(result, f)
     duration = float(np.ptp(result.motion.t))
     if result.spectra is None:
         return np.asarray(seen.tone_sigma**2 * duration)
