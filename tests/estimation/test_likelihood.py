@@ -363,6 +363,24 @@ def test_a_tone_as_found_is_as_large_as_in_the_motion() -> None:
     assert found.as_found.components[:2] == found.spectrum.components[:2]
 
 
+@pytest.mark.parametrize("width", [0.0, 0.1, 0.5])
+def test_tones_that_die_and_do_not_are_as_large_as_they_are(width: float) -> None:
+    """Oscillators of `width` / T, or sinusoids: the variance fitted is that in the strip, on average."""
+    variance = []
+    for seed in range(8):
+        rng, t = np.random.default_rng([seed, 7]), STEP * np.arange(N)
+        if width:
+            tone = drawn(Spectrum((Tone(0.3, 83.0, width),)), seed)
+        else:
+            tone = 0.3 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 83.0 * t + rng.uniform(0.0, 6.28))
+        found = fit_spectrum(measured(drawn(Spectrum(TRUE.components[:2]), 90 + seed) + tone, 0.02))
+        (one,) = [tone for tone in found.spectrum.tones if abs(tone.frequency - 83.0) < 2.0]
+        variance.append((one.sigma**2, np.mean(tone**2)))
+    # one strip's scatters by a third, eight by a tenth; under a belief in widths of 1 / T the first two are
+    # .37 and .49
+    assert np.sum(variance, axis=0)[0] / np.sum(variance, axis=0)[1] == pytest.approx(1.0, abs=0.25)
+
+
 def test_at_a_blind_frequency_a_known_tone_may_be_as_large_as_the_drift(motion) -> None:  # type: ignore[no-untyped-def]
     (only,) = [s for s in measured(motion, 0.03) if abs(s.lag[0] - 0.022) < 1e-9]
     seen, blind = (

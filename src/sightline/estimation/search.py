@@ -33,11 +33,14 @@ CANDIDATES = 32
 ALIAS_PENALTY = 8.0
 #: Half-width of the weak Gaussian belief about every log parameter: a factor of e^3 about its start.
 BELIEF = 3.0
-#: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
-#: shows, and one that is too narrow costs more than one that is too wide. In short data no more than this
-#: share of the frequency, twice the damping of a structure: as wide as the data are short, every tone would
-#: bring jitter of many frequencies.
-BANDWIDTH_BELIEF, WIDEST = 1.2, 0.03
+#: Bandwidth that a tone is believed to have, as weakly as all other parameters, and the least, in units of
+#: one over the length of the data: an oscillator of the first loses a third of itself in it. Where noise is
+#: small, a belief in wider tones, or a larger least width, makes a tone that does not die smaller than it is,
+#: and gives it jitter of frequencies beside it that the broadband part then lacks.
+USUAL_WIDTH, LEAST_WIDTH = 0.1, 2e-4
+#: In short data no tone is believed to be wider than this share of its frequency, twice the damping of a
+#: structure: as wide as the data are short, every tone would bring jitter of many frequencies.
+WIDEST = 0.03
 #: The same of the corner of the broadband part where another axis of the same body shows it: a factor of 2.
 CORNER_BELIEF = 0.7
 #: Least bandwidth of a tone that another axis shows, in units of one over the length of the data: its
@@ -342,8 +345,7 @@ class Search:
         pull = np.full(len(x), BELIEF**-2)
         centre = x.copy()
         pull[5:-1:3] = 0.0  # frequencies: bounded, not believed
-        pull[6:-1:3] = BANDWIDTH_BELIEF**-2
-        centre[6:-1:3] = [math.log(self.narrow(tone.frequency)) for tone in model.tones]
+        centre[6:-1:3] = [math.log(tone_widths(tone.frequency, self._length)[0]) for tone in model.tones]
         if self._corner is not None:
             pull[3] = CORNER_BELIEF**-2
             centre[3] = math.log(model.broadband.timescale * model.broadband.corner / self._corner)
@@ -741,7 +743,7 @@ class Search:
 
     def narrow(self, frequency: float) -> float:
         """Bandwidth (Hz) that a tone is taken to have as long as nothing shows it."""
-        return tone_widths(frequency, self._length)[0]
+        return min(1.0 / self._length, WIDEST * frequency)
 
     def hidden_tones(
         self, model: NoiseModel, elsewhere: Sequence[tuple[float, float]] = ()
@@ -1128,7 +1130,8 @@ def drift_adjustment(
 
 def tone_widths(frequency: float, length: float) -> tuple[float, float, float]:
     """Bandwidth (Hz) that a tone is believed to have in data of `length` (s), the least, and the most."""
-    return min(1.0 / length, WIDEST * frequency), 0.02 / length, max(10.0 / length, 0.1 * frequency)
+    usual = min(USUAL_WIDTH / length, WIDEST * frequency)
+    return usual, LEAST_WIDTH / length, max(10.0 / length, 0.1 * frequency)
 
 
 def usual_size(usual: Sequence[Tone], frequency: float, length: float) -> float | None:

@@ -21,7 +21,6 @@ from sightline.errors import EstimationError, InputError
 from sightline.estimation.evidence import EvenRate, moments_of, rate_weights
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum, Tone, autoregressive
 from sightline.estimation.search import (
-    BANDWIDTH_BELIEF,
     BELIEF,
     LONGEST_DRIFT,
     SETTLED,
@@ -322,7 +321,7 @@ class _Parameters:
             x += [size, math.log(tone.bandwidth)]
             bounds += [(size + SIZES[0], size + SIZES[1]), (least, most)]
             centre += [size, usual]
-            pull += [BELIEF**-2, BANDWIDTH_BELIEF**-2]
+            pull += [BELIEF**-2] * 2
             curvature += [TONE_CURVATURE] * 2
         return np.array(x), np.array(bounds), np.array(centre), np.array(pull), np.array(curvature)
 
