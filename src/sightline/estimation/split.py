@@ -23,8 +23,10 @@ from numpy.typing import NDArray
 
 from sightline.compiled import njit
 from sightline.errors import InputError
-from sightline.estimation.banded import BorderedFactor
+from sightline.estimation.banded import ROWS_AT_ONCE, BorderedFactor
 from sightline.estimation.prior import NUGGET, Autoregressive, Matern, Spectrum, autoregressive
+from sightline.execution import slices
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -72,7 +74,7 @@ class SplitPrior:
     def width(self, layout: Layout, axis: int = 0) -> int:
         """Subdiagonals that the joint precision needs in a layout."""
         fine, coarse = layout.fine[:, axis], layout.coarse[:, axis]
-        first, _ = _interpolation(self.n, self.slow.n, self.ratio)
+        first, _ = _interpolation(0, self.n, self.slow.n, self.ratio)
         earliest = np.maximum(np.arange(self.n) - self.fast.order, 0)
         low = np.minimum(fine[earliest], coarse[first[earliest]])
         high = np.maximum(fine, coarse[first + TAPS - 1])
@@ -104,16 +106,23 @@ class SplitPrior:
             low, high = np.searchsorted(place, (begin, end)).tolist()
             if low < high:
                 spread_columns(process.precision_columns(low, high, own), place, low, band, begin)
-        first, taps = _interpolation(self.n, self.slow.n, self.ratio)
-        row_weights = 1.0 / self.fast.variances if weights is None else weights / self.fast.variances
-        # rows of which some unknown stands in these columns
-        earliest = np.maximum(np.arange(self.n) - self.fast.order, 0)
-        lowest = np.minimum(fine[earliest], coarse[first[earliest]])
-        highest = np.maximum(fine, coarse[first + TAPS - 1])
+        # rows of which some unknown stands in these columns, and the epochs that they look back on: of all
+        # epochs, as often as there are pieces of columns, these would cost the square of their number
+        order, near = self.fast.order, self.fast.order + TAPS * self.ratio
+        low, high = np.searchsorted(fine, (begin, end)).tolist()
+        since, until = max(low - near - order, 0), min(high + near, self.n)
+        first, taps = _interpolation(since, until, self.slow.n, self.ratio)
+        places = np.ascontiguousarray(fine[since:until])
+        earliest = np.maximum(np.arange(until - since) - order, 0)
+        lowest = np.minimum(places[earliest], coarse[first[earliest]])
+        highest = np.maximum(places, coarse[first + TAPS - 1])
         rows = np.flatnonzero((highest >= begin) & (lowest < end))
         if len(rows):
+            some = slice(since, until)
+            row_weights = 1.0 if weights is None else weights[some]
+            row_weights = row_weights / self.fast.variances[some]
             span = (int(rows[0]), int(rows[-1]) + 1)
-            _add_coarse(self.fast.table, row_weights, first, taps, fine, coarse, span, begin, band)
+            _add_coarse(self.fast.table, row_weights, first, taps, places, coarse, since, span, begin, band)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,10 +193,15 @@ class LaidFactor:
 
     def solve(self, b: Array, d: Array) -> tuple[Array, Array]:
         """Fine unknowns (n,) or (n, k) and border (q,) or (q, k) for such right sides."""
-        spread = np.zeros((self._factor.n, *b.shape[1:]))
-        spread[self._position] = b
+        spread, fine = (scratch_array((n, *b.shape[1:])) for n in (self._factor.n, self.n))
+        for some in slices(self.n, ROWS_AT_ONCE):
+            spread[self._position[some]] = b[some]
+            let_go()
         x, y = self._factor.solve(spread, d)
-        return np.asarray(x[self._position]), y
+        for some in slices(self.n, ROWS_AT_ONCE):
+            fine[some] = x[self._position[some]]
+            let_go()
+        return fine, y
 
     def times(self, directions: Array) -> tuple[Array, Array]:
         """Inverse times [directions; 0]: its (n, k) and (q, k) parts; `directions` is (n, k) or (n,)."""
@@ -292,9 +306,12 @@ def spread_columns(band: Array, position: Index, first: int, out: Array, begin: 
 def gather_band(band: Array, position: Index, width: int) -> Array:
     """Part of a symmetric band that belongs to the unknowns at rising positions (n,): (width + 1, n)."""
     n = len(position)
-    out = np.zeros((width + 1, n))
+    out = scratch_array((width + 1, n))
     for d in range(min(width, n - 1) + 1):
-        out[d, : n - d] = band[position[d:] - position[: n - d], position[: n - d]]
+        for some in slices(n - d, ROWS_AT_ONCE):
+            here = position[some]
+            out[d, some] = band[position[some.start + d : some.stop + d] - here, here]
+        let_go()
     return out
 
 
@@ -305,9 +322,9 @@ def _is_slow(component: object, step: float, order: int) -> bool:
     return component.timescale > max(48.0, 1.5 * order) * step
 
 
-def _interpolation(n: int, coarse: int, ratio: int) -> tuple[Index, Array]:
-    """First coarse node (n,) and cubic weights (n, 4) of every fine epoch."""
-    x = np.arange(n) / ratio
+def _interpolation(since: int, until: int, coarse: int, ratio: int) -> tuple[Index, Array]:
+    """First coarse node (n,) and cubic weights (n, 4) of the n fine epochs from `since` up to `until`."""
+    x = np.arange(since, until) / ratio
     first = np.clip(np.floor(x).astype(np.int64) - 1, 0, coarse - TAPS)
     u = x - first
     weights = np.stack([
@@ -327,15 +344,16 @@ def _spread(band, position, out, begin):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _add_coarse(table, weights, first, taps, fine, coarse, span, begin, band):  # type: ignore[no-untyped-def]
+def _add_coarse(table, weights, first, taps, fine, coarse, since, span, begin, band):  # type: ignore[no-untyped-def]
     """Blocks (fine, coarse) and (coarse, coarse) of the sum of innovation rows of z = x - P c.
 
-    Of the rows `span`, into the columns of the whole from `begin` on that `band` holds.
+    Of the rows `span`, into the columns of the whole from `begin` on that `band` holds. Rows and all that is
+    known of epochs are counted from epoch `since` on.
     """
     p, end = table.shape[0] - 1, begin + band.shape[1]
-    window = np.zeros(first[min(p, len(first) - 1)] - first[0] + 3 * taps.shape[1] + 2)
+    window = np.zeros(p + 3 * taps.shape[1])
     for t in range(span[0], span[1]):
-        m = min(t, p)
+        m = min(since + t, p)
         row = table[m]
         base = first[t - m]
         size = first[t] + taps.shape[1] - base

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError, SpanError
+from sightline.execution import slices
 from sightline.geometry.camera_kernels import find_lines, line_rays, seen_tangents
 from sightline.geometry.checks import (
     Array,
@@ -34,13 +35,15 @@ from sightline.geometry.pointing import Pointing
 from sightline.geometry.pose_table import PoseTable, camera_poses
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import TIME_SLACK, Trajectory
-from sightline.writing import scratch_array
+from sightline.writing import let_go, scratch_array
 
 #: How far beyond the ends of a detector line a point still gets a column (px).
 COLUMN_MARGIN_PX = 50.0
 #: Lines beyond the image that the table of poses covers, where the trajectory allows: they make rays of
 #: windows that reach over the edge possible, and the cubic central there.
 _MARGIN_LINES = 16
+#: Lines whose planes are found at a time.
+_AT_ONCE = 16384
 #: Rays may reach this far (lines) beyond the trajectory, and images beyond the centres of their first and
 #: last line: half a pixel, and rounding.
 _EDGE = 0.5 + 1e-6
@@ -313,8 +316,10 @@ class PushbroomCamera(ReadOnlyArrays):
             return read_only(np.empty((0, 4)))
         planes = scratch_array((len(rows), 4))
         (x, y), height = detector.axis, detector.curve[0, 1]
-        planes[:, :3] = rows[:, :9].reshape(-1, 3, 3) @ np.array([-y, x, -height])
-        planes[:, 3] = np.einsum("ni,ni->n", planes[:, :3], rows[:, 9:])
+        for some in slices(len(rows), _AT_ONCE):
+            planes[some, :3] = rows[some, :9].reshape(-1, 3, 3) @ np.array([-y, x, -height])
+            planes[some, 3] = np.einsum("ni,ni->n", planes[some, :3], rows[some, 9:])
+            let_go()
         return read_only(planes)
 
     def camera_tangents(self, points: ArrayLike, lines: ArrayLike) -> Array:

@@ -115,7 +115,7 @@ class PoseTable(ReadOnlyArrays):
 
         Fewer lines than a cubic needs become samples of the polynomial through them.
         """
-        rows = scratch_array((len(t), ROW))
+        rows, total = scratch_array((len(t), ROW)), np.zeros((1, 3))
         for some in slices(len(t), _AT_ONCE):
             attitude, rows[some, 9:] = camera_poses(t[some], trajectory, pointing, lever_arm, around, lean)
             rows[some, :9] = attitude.reshape(-1, 9)

@@ -10,7 +10,7 @@ Not here: measuring the partner (``matching/match_images.py``), solving (``motio
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,9 +21,11 @@ from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import Matches
+from sightline.writing import scratch_array
 
 Array = NDArray[np.float64]
 MovingCamera = PushbroomCamera | FrameCamera
+Pair = tuple[MovingCamera, MovingCamera]
 
 #: Step of the finite differences by attitude (rad): a tenth of a pixel of a 5 urad camera; projections are
 #: good to 1e-9 lines, sensitivities so to 1e-3 px/rad. Two pixels would average the speed of the image over
@@ -121,7 +123,69 @@ def _turned(camera: MovingCamera, angles: Array) -> MovingCamera:
         first, last = trajectory.span
         # a frame is exposed at one instant
         motion = Motion.zero(first, last) if last > first else Motion.zero(first - 0.5, last + 0.5)
-    return camera.with_trajectory(trajectory.with_motion(motion.shifted(angles)))
+    # a dozen turned cameras are held at a time: of a long strip their motions are more than all else of them
+    turn = scratch_array(motion.angles.shape)
+    np.add(motion.angles, angles, out=turn)
+    turn.setflags(write=False)
+    return camera.with_trajectory(trajectory.with_motion(replace(motion, angles=turn)))
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Both cameras of a pair, and what they become by a step either way of all that moves the partner.
+
+    To be kept from one stretch of a pair's windows to the next: poses of all lines of a long image, found
+    anew for every stretch, cost the square of its length.
+
+    Attributes
+    ----------
+    cameras : (camera, camera)
+        Of the first and of the second image.
+    turned_a, turned_b : three times (camera, camera)
+        The first or the second turned about roll, pitch, yaw: forward, and back.
+    changed : Q times ((camera, camera), (camera, camera)) or None
+        The pair by each static parameter: more of it, and less; None: it touches neither.
+    steps : (Q,)
+        Of these, in the units of the parameters.
+    """
+
+    cameras: Pair
+    turned_a: tuple[Pair, ...]
+    turned_b: tuple[Pair, ...]
+    changed: tuple[tuple[Pair, Pair] | None, ...]
+    steps: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls,
+        cameras: Sequence[MovingCamera],
+        image_a: int,
+        image_b: int,
+        statics: Sequence[StaticParameter] = (),
+    ) -> Sides:
+        """Those of a pair of all `cameras`; its arguments are those of `sensitivities`."""
+        turns = ANGLE_STEP * np.eye(3)
+        turned_a, turned_b = (
+            tuple((turned(cameras[image], turn), turned(cameras[image], -turn)) for turn in turns)
+            for image in (image_a, image_b)
+        )
+
+        def changed(parameter: StaticParameter, value: float) -> Pair:
+            all_of_them = parameter.apply(cameras, value)
+            return all_of_them[image_a], all_of_them[image_b]
+
+        return cls(
+            (cameras[image_a], cameras[image_b]),
+            turned_a,
+            turned_b,
+            tuple(
+                (changed(one, one.step), changed(one, -one.step))
+                if image_a in one.images or image_b in one.images
+                else None
+                for one in statics
+            ),
+            tuple(one.step for one in statics),
+        )
 
 
 def sensitivities(
@@ -158,26 +222,25 @@ def sensitivities(
     that lasts the whole strip is used for each image alone, so the derivative is by the attitude at the
     two instants of exposure.
     """
-    camera_a, camera_b = cameras[image_a], cameras[image_b]
+    return sensitivities_by(Sides.of(cameras, image_a, image_b, statics), surface, pixels_a)
+
+
+def sensitivities_by(sides: Sides, surface: Surface, pixels_a: Array) -> Sensitivities:
+    """The same where the cameras of the pair, moved by each step, are there already."""
+    camera_a, camera_b = sides.cameras
     n = len(pixels_a)
     ground = camera_a.locate(pixels_a, surface)
     by_a, by_b = np.empty((n, 2, 3)), np.empty((n, 2, 3))
     for axis in range(3):
-        step = np.zeros(3)
-        step[axis] = ANGLE_STEP
-        plus = camera_b.project(turned(camera_a, step).locate(pixels_a, surface))
-        minus = camera_b.project(turned(camera_a, -step).locate(pixels_a, surface))
+        plus, minus = (camera_b.project(one.locate(pixels_a, surface)) for one in sides.turned_a[axis])
         by_a[:, :, axis] = (plus - minus) / (2 * ANGLE_STEP)
-        plus, minus = turned(camera_b, step).project(ground), turned(camera_b, -step).project(ground)
+        plus, minus = (one.project(ground) for one in sides.turned_b[axis])
         by_b[:, :, axis] = (plus - minus) / (2 * ANGLE_STEP)
-    by_static = np.zeros((n, 2, len(statics)))
-    for k, parameter in enumerate(statics):
-        if image_a in parameter.images or image_b in parameter.images:
-            sides = []
-            for value in (parameter.step, -parameter.step):
-                changed = parameter.apply(cameras, value)
-                sides.append(predict_match(changed[image_a], changed[image_b], surface, pixels_a))
-            by_static[:, :, k] = (sides[0] - sides[1]) / (2 * parameter.step)
+    by_static = np.zeros((n, 2, len(sides.steps)))
+    for k, (changed, step) in enumerate(zip(sides.changed, sides.steps, strict=True)):
+        if changed is not None:
+            plus, minus = (predict_match(a, b, surface, pixels_a) for a, b in changed)
+            by_static[:, :, k] = (plus - minus) / (2 * step)
     up = camera_b.project(camera_a.locate(pixels_a, surface.raised(HEIGHT_STEP)))
     down = camera_b.project(camera_a.locate(pixels_a, surface.raised(-HEIGHT_STEP)))
     return Sensitivities(by_a, by_b, by_static, (up - down) / (2 * HEIGHT_STEP))

@@ -5,7 +5,7 @@ Across the field sensitivities are almost linear. Along the strip they follow th
 to the jitter of the other axes depends on it. Between rows farther apart than the jitter's periods nothing
 can be interpolated: of 30,000 lines, every second row would have the slow motion wrong by several sigmas.
 
-Not here: the exact values (``predict.sensitivities``).
+Not here: the exact values (``predict.sensitivities_by``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.surface import Surface
-from sightline.motion.measure.predict import MovingCamera, StaticParameter, sensitivities
+from sightline.motion.measure.predict import MovingCamera, Sides, StaticParameter, sensitivities_by
 from sightline.motion.measure.windows import WindowGrid
 
 Array = NDArray[np.float64]
@@ -64,6 +64,7 @@ def sampled_sensitivities(
     columns = {image: (places[:, 1], other), hub: (grid.centres[:, 1], grid.window[1])}
     shares = [_share(parameter, columns) for parameter in own]
     of_whole = [7 + statics.index(parameter.whole or parameter) for parameter in own]
+    sides = Sides.of(cameras, hub, image, statics)
     # some rows at a time: all of a long strip would take more than all else of it
     for begin in range(0, rows, AT_ONCE):
         wanted = np.arange(begin, min(begin + AT_ONCE, rows))
@@ -71,7 +72,7 @@ def sampled_sensitivities(
         if len(some) == 0:
             continue
         pixels = np.stack(np.meshgrid(grid.lines[some], grid.columns[at_blocks], indexing="ij"), axis=-1)
-        exact = sensitivities(cameras, hub, image, surface, pixels.reshape(-1, 2), statics)
+        exact = sensitivities_by(sides, surface, pixels.reshape(-1, 2))
         values = np.concatenate(
             [exact.angles_a, exact.angles_b, exact.height[:, :, None], exact.statics], axis=2
         )
