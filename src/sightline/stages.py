@@ -323,7 +323,9 @@ def _save(file: BinaryIO, packed: Packed) -> None:
 
 def _laid(array: NDArray[Any]) -> NDArray[Any]:
     """What was read, in a scratch array where it is large; its order in memory stays."""
-    return scratch_copy(array) if array.flags.c_contiguous else array
+    out = scratch_copy(array) if array.flags.c_contiguous else array
+    let_go()
+    return out
 
 
 def pack(value: object) -> Packed:

@@ -52,7 +52,7 @@ _scratch: ContextVar[Path | None] = ContextVar("_scratch", default=None)
 _mapped: WeakSet[mmap.mmap] = WeakSet()
 _mapping = Lock()
 #: Page faults of this process when pages of these last left its memory, and how many are waited for.
-_faults, _PAGES = 0, 512
+_faults, _PAGES = 0, 128
 
 
 @contextmanager

@@ -134,3 +134,23 @@ def test_a_sigma_of_zero_is_refused():
 def test_pixels_without_the_width_of_the_field_are_refused_with_the_remedy():
     with pytest.raises(InputError, match="give half the number of columns"):
         scored(0.0, np.ones((4001, 3)), ifov=5e-6)
+
+
+def test_what_is_hidden_leaves_a_motion_of_many_lines_as_it_leaves_one_of_few(monkeypatch):
+    n, t = 1000, np.linspace(-1.0, 1.0, 1000)
+    rng = np.random.default_rng(3)
+    # a constant and a drift per axis that bend another, one of them twice, one that is nothing
+    directions = np.zeros((n, 3, 8))
+    for axis in range(3):
+        directions[:, axis, axis], directions[:, axis, 3 + axis] = 1.0, t
+        directions[:, (axis + 1) % 3, 3 + axis] = 0.1 * t**2
+    directions[:, :, 6] = -2.0 * directions[:, :, 4]
+    unit = np.array([1e-6, 3e-6, 1e-3])
+    values = rng.normal(size=(n, 3)) + 50.0 * directions[:, :, 3] / unit
+    whole = remove_directions(values, directions, unit)
+    monkeypatch.setattr("sightline.evaluation.score.AT_ONCE", 64)
+    pieces = remove_directions(values, directions, unit)
+    # rounding of values up to 5e7 in sums of 3000 of them
+    assert pieces == pytest.approx(whole, abs=1e-6)
+    # of 3000 values of white noise seven are fitted
+    assert np.std(pieces) == pytest.approx(1.0, rel=0.1)

@@ -349,3 +349,15 @@ class TestTdiStages:
     def test_stages_that_do_not_go_with_the_image_are_refused(self, stages):
         with pytest.raises(InputError, match="`stages` must be whole numbers from 1 to"):
             pushbroom(stages=stages)
+
+
+def test_poses_and_planes_of_many_lines_are_those_of_all_at_once(monkeypatch):
+    t = np.linspace(-0.9, 1.9, 1400)
+    shake = Motion(t, 1e-4 * np.stack([np.sin(40.0 * t), np.cos(70.0 * t), t], axis=1))
+    whole = pushbroom(FLIGHT.with_motion(shake))
+    tables = whole._table.rows, whole._planes, whole._table.origin
+    for place in ("pose_table", "camera"):
+        monkeypatch.setattr(f"sightline.geometry.{place}._AT_ONCE", 37)
+    pieces = pushbroom(FLIGHT.with_motion(shake))
+    for one, other in zip(tables, (pieces._table.rows, pieces._planes, pieces._table.origin), strict=True):
+        assert np.array_equal(one, other)

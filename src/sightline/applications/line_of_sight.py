@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError, InputError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.estimation.search import CLOSELY, SETTLED
-from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
+from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, slices, steps_of
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import not_negative
 from sightline.geometry.surface import Surface
@@ -56,6 +56,7 @@ from sightline.motion.strip.estimate import (
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hyper import ORDER, KnownContent, PriorModel, fit_prior_model
 from sightline.motion.strip.joint import (
+    INSTANTS,
     JointEstimate,
     angles_at,
     directions_at,
@@ -91,6 +92,7 @@ from sightline.motion.strip.warnings import (
 from sightline.motion.strip.withheld import contradictions, judged, withheld_numbers, without_pairs
 from sightline.result import makes_result
 from sightline.stages import Stages
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
@@ -698,12 +700,14 @@ def _result(
     on_grid = turned_directions(estimate.hidden_directions(drifts), turn)
     hidden = directions_at(strip.grid, on_grid, t)
     covariance = estimate.relative_covariance(t, hidden, strip.scale, turn)
-    between = np.zeros((len(t), 3, 3))
-    for axis, spectrum in enumerate(state.model.estimated().spectra):
-        between[:, axis, axis] = variance_between_nodes(spectrum, strip.grid, t)
+    spectra = state.model.estimated().spectra
+    between = np.stack([variance_between_nodes(one, strip.grid, t) for one in spectra], axis=1)
     model = with_blur_errors(strip, state)
     unseen = turn @ np.diag(model.unseen_variance) @ turn.T
-    covariance += turn @ between @ turn.T + unseen
+    for some in slices(len(t), INSTANTS):
+        covariance[some] += turn @ (between[some, :, None] * np.eye(3)) @ turn.T + unseen
+        let_go()
+    covariance.setflags(write=False)  # nobody else has it: not copied
     motion = Motion(t, angles_at(estimate, t) @ turn.T, covariance)
     statics = tuple(
         StaticEstimate(p.name, p.unit, float(v), float(s), p.sigma)

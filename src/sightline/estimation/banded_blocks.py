@@ -24,6 +24,7 @@ from sightline.estimation.banded import (
     inverse_columns,
     piece_columns,
 )
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
@@ -168,6 +169,7 @@ class StoredBand:
         out = cls(*size)
         for (first, _), part in zip(out.spans(), parts, strict=True):
             out.add(first, part)
+            let_go()
         return out
 
     def __reduce__(self) -> tuple[Any, ...]:

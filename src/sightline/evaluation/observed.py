@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sightline.execution import slices
 from sightline.geometry.camera import PushbroomCamera
 from sightline.motion.measure.observations import Star, scale_residuals
 from sightline.motion.observability import (
@@ -23,6 +24,7 @@ from sightline.motion.observability import (
     window_gain,
 )
 from sightline.motion.results import LineOfSight
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
@@ -31,6 +33,8 @@ SEEN_TONE_PX = 0.1
 SEEN_SIGMAS = 5.0
 #: Windows of a star from which information is summed: by chance it is a hundredth off.
 ENOUGH_WINDOWS = 16384
+#: Of these, windows that are looked at at a time.
+AT_ONCE = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +85,7 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
     for record in result.records:
         star = record.star
         lags, information = _information(star)
+        let_go()
         known = np.isfinite(lags)
         phase = 2j * np.pi * f[:, None] * np.where(known, lags, 0.0)
         gain = np.stack([np.ones_like(phase), np.exp(phase)], axis=2)  # (F, K, 2): of the hub, of the partner
@@ -163,13 +168,15 @@ def _information(star: Star) -> tuple[Array, Array]:
     here = present[windows]
     for kept in np.unique(here[here.any(axis=1)], axis=0):
         pairs = np.flatnonzero(kept)
-        at = np.ix_(windows[(here == kept).all(axis=1)], pairs)
-        slope = np.concatenate([star.by_hub[at], star.by_partner[at]], axis=3, dtype=np.float64)
-        weight = np.repeat(np.sqrt(star.weight[at]), 2, axis=1)
-        rows = np.stack(
-            [scale_residuals(one, star.covariance_px[at]) * weight for one in np.moveaxis(slope, 3, 0)],
-            axis=2,
-        )  # (G, 2k, 6)
+        alike = windows[(here == kept).all(axis=1)]
+        rows = np.empty((len(alike), 2 * len(pairs), 6))
+        for some in slices(len(alike), AT_ONCE):
+            at = np.ix_(alike[some], pairs)
+            slope = np.concatenate([star.by_hub[at], star.by_partner[at]], axis=3, dtype=np.float64)
+            weight, covariance = np.repeat(np.sqrt(star.weight[at]), 2, axis=1), star.covariance_px[at]
+            for angle, one in enumerate(np.moveaxis(slope, 3, 0)):
+                rows[some, :, angle] = scale_residuals(one, covariance) * weight
+            let_go()
         both = np.repeat(2 * pairs, 2) + np.tile([0, 1], len(pairs))
         inverse = np.linalg.inv(star.correlation[np.ix_(both, both)])
         squares = np.tensordot(rows, rows, axes=(0, 0)) * inverse[:, None, :, None]

@@ -19,9 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError, SpanError, computes
 from sightline.evaluation.consistency import consistency
+from sightline.execution import slices
 from sightline.geometry.checks import as_points, as_times, same_length
 from sightline.geometry.trajectory import Motion
 from sightline.result import Result, makes_result
+from sightline.writing import let_go
 
 if TYPE_CHECKING:  # reading a folder's score needs none of what made it
     from sightline.motion.results import LineOfSight
@@ -34,6 +36,8 @@ AXES = ("roll", "pitch", "yaw")
 #: line, or a parabola, must explain to be called so.
 NAMED_SHARE, CURVED_SHARE = 0.01, 0.95
 
+#: Instants at which directions are fitted at a time.
+AT_ONCE = 16384
 #: Autocorrelation is summed up to this many of its own correlation times (Sokal's rule).
 WINDOW_OF_CORRELATION = 5.0
 
@@ -260,18 +264,50 @@ def _shape(t: Array, values: Array) -> str:
     return "parabola" if len(power) > 1 and power[1] > 1.0 - CURVED_SHARE else "drift"
 
 
-def remove_directions(values: Array, directions: Array) -> Array:
-    """`values` (N, 3) less their unweighted least-squares fit by `directions` (N, 3, H).
+def remove_directions(values: Array, directions: Array, unit: ArrayLike = 1.0) -> Array:
+    """`values` (N, 3) less their unweighted least-squares fit by `directions` (N, 3, H) in a `unit` (3,).
 
     Directions that depend on each other, or are nothing, do no harm.
     """
-    basis = directions.reshape(values.size, -1)
+    each = np.broadcast_to(np.asarray(unit, dtype=np.float64), (3,))[:, None]
+    if len(values) > AT_ONCE:
+        return _less_many(values, directions, each)
+    basis = (directions / each).reshape(values.size, -1)
     size = np.linalg.norm(basis, axis=0)
     basis = basis[:, size > 0.0] / size[size > 0.0]
     u, s, _ = np.linalg.svd(basis, full_matrices=False)
     u = u[:, s > 1e-9]
     flat = values.ravel()
     return np.asarray((flat - u @ (u.T @ flat)).reshape(values.shape))
+
+
+def _less_many(values: Array, directions: Array, unit: Array) -> Array:
+    """The same of many instants, some at a time: their singular vectors are those of their triangles."""
+    parts = slices(len(values), AT_ONCE)
+
+    def basis(some: slice) -> Array:
+        return np.asarray((directions[some] / unit).reshape(-1, directions.shape[2]))
+
+    size = np.sqrt(np.sum([(basis(some) ** 2).sum(axis=0) for some in parts], axis=0))
+    used = np.flatnonzero(size > 0.0)
+    triangles = [np.linalg.qr(basis(some)[:, used] / size[used], mode="r") for some in parts]
+    _, s, vh = np.linalg.svd(np.concatenate(triangles), full_matrices=False)
+    good = s > 1e-9
+    onto = vh[good].T / s[good] / size[used, None]
+    count = int(good.sum())
+    square, beside = np.zeros((count, count)), np.zeros(count)
+    for some in parts:
+        u = basis(some)[:, used] @ onto
+        square += u.T @ u
+        beside += u.T @ values[some].ravel()
+        let_go()
+    # one but for rounding, which small singular values enlarge
+    held = np.linalg.solve(square, beside)
+    left = np.empty(values.shape)
+    for some in parts:
+        left[some] = values[some] - (basis(some)[:, used] @ (onto @ held)).reshape(-1, 3)
+        let_go()
+    return left
 
 
 def constant_directions(lines: int) -> Array:

@@ -24,6 +24,7 @@ from sightline.motion.strip.fusion import SensorUse
 from sightline.motion.strip.relief import RowRelief
 from sightline.motion.strip.withheld import WithheldAxis
 from sightline.result import Result
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
@@ -218,6 +219,7 @@ class LineOfSight(Result):
             star = record.star
             for k, image in enumerate(star.images):
                 out.append(_pair(record, before[:, k], after[:, k], k, (star.hub, image)))
+                let_go()
         return out
 
 
@@ -288,9 +290,12 @@ def _pair(record: StarRecord, before: Array, after: Array, k: int, images: tuple
         rejected["outlier"] = rejected.get("outlier", 0) + late
 
     def rms(values: Array) -> float:
-        return float(np.sqrt(np.mean(values[kept] ** 2))) if kept.any() else float("nan")
+        found = float(np.sqrt(np.mean(values[kept] ** 2))) if kept.any() else float("nan")
+        let_go()
+        return found
 
     expected = star.covariance_px[kept, k][:, [0, 1], [0, 1]] * np.diag(star.correlation)[2 * k : 2 * k + 2]
+    let_go()
     return PairResiduals(
         images=images,
         lag=float(np.nanmedian((star.t[:, k] - star.t_hub)[kept])) if kept.any() else float("nan"),

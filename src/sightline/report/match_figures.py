@@ -19,6 +19,7 @@ from sightline.report.figure import Figure
 from sightline.report.marks import Bars, Line, Map
 from sightline.report.reduce import cell_edges, cell_means, cell_modes
 from sightline.report.style import AFTER, BEFORE, labels, short_label
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 #: One colour per status code of a match, in the order of ``STATUS_NAMES``.
@@ -164,18 +165,25 @@ def _status(record: StarRecord, partner: int) -> NDArray[np.uint8]:
 
 def _all_residuals(result: LineOfSight) -> tuple[Array, Array, Array]:
     """Every component of every kept match: before, after, and the sigma expected of it, px."""
-    parts: list[tuple[Array, Array, Array]] = []
-    for record, before, after in zip(result.records, result.before_px, result.after_px, strict=True):
+    present = [record.star.present for record in result.records]
+    out, filled = scratch_array((3, 2 * sum(int(one.sum()) for one in present))), 0
+    sides = zip(result.records, present, result.before_px, result.after_px, strict=True)
+    for record, kept, before, after in sides:
         star = record.star
         inflation = np.sqrt(np.diag(star.correlation)).reshape(1, -1, 2)
-        sigma = np.sqrt(np.einsum("gkii->gki", star.covariance_px)) * inflation
-        parts.append((before[star.present].ravel(), after[star.present].ravel(), sigma[star.present].ravel()))
-    before_px, after_px, sigma_px = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    good = np.isfinite(before_px) & np.isfinite(after_px)
-    return before_px[good], after_px[good], sigma_px[good]
+        for some in star.stretches():
+            here = kept[some]
+            sigma = np.sqrt(np.einsum("gkii->gki", star.covariance_px[some])) * inflation
+            values = np.stack([side[here].ravel() for side in (before[some], after[some], sigma)])
+            values = values[:, np.isfinite(values[:2]).all(axis=0)]
+            out[:, filled : filled + values.shape[1]] = values
+            filled += values.shape[1]
+            let_go()
+    return out[0, :filled], out[1, :filled], out[2, :filled]
 
 
 def _reach(values: Array, percent: float = 98.0) -> float:
     """Half-range of a symmetric scale."""
-    finite = np.abs(values[np.isfinite(values)])
-    return float(np.percentile(finite, percent)) if len(finite) else 1.0
+    finite = values[np.isfinite(values)]
+    np.abs(finite, out=finite)
+    return float(np.percentile(finite, percent, overwrite_input=True)) if len(finite) else 1.0

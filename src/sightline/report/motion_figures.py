@@ -37,7 +37,7 @@ def visible_motion_px(result: LineOfSight, motion: MotionTable | None = None) ->
     t, angles = result.motion.t, result.motion.angles
     if motion is not None:
         angles = np.stack([np.interp(t, motion.t, own) for own in motion.angles.T], axis=1)
-    return remove_directions(angles / result.scale, result.hidden / result.scale[:, None])
+    return remove_directions(angles / result.scale, result.hidden, result.scale)
 
 
 def attitude_figure(result: LineOfSight, truth: MotionTable | None = None) -> Figure:

@@ -20,9 +20,11 @@ from motion.strips import (
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
+from sightline.geometry.pose_table import PoseTable
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.motion.band import Band
+from sightline.motion.measure import predict
 from sightline.motion.measure.sampled_sensitivities import _averaged, sampled_sensitivities
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import band_statics
@@ -124,3 +126,26 @@ def test_a_window_over_the_border_has_the_mean_of_what_lies_inside():
     # the first covers the left half of column 0, the last the half of column 3 and all of column 4
     columns = np.array([-2.0, 0.0, 1.0, 5.0])
     assert_allclose(_averaged(profile, columns, 4.0), [3.0, 3.0, 3.0, (0.5 * 3.0 + 9.0) / 1.5])
+
+
+def test_poses_of_a_long_image_are_found_once_for_all_stretches_of_its_rows(monkeypatch):
+    found = []
+
+    def counted(cls, first, t, *others):
+        found.append(len(t))
+        return made(first, t, *others)
+
+    monkeypatch.setattr(predict, "KEPT_LINES", 0)  # every image is long
+    made = PoseTable.of
+    monkeypatch.setattr(PoseTable, "of", classmethod(counted))
+    statics = band_statics(given_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
+    seen = GRID.centres[:, 0] + 200 < 590
+    counts, values = [], []
+    for rows in (1000, 3):
+        monkeypatch.setattr("sightline.motion.measure.sampled_sensitivities.AT_ONCE", rows)
+        found.clear()
+        values.append(sensitivities_of_all(strip_cameras(AHEAD), GRID, seen, statics)[seen])
+        counts.append(len(found))
+    # two cameras, each turned about three axes either way, and one of each parameter's two sides
+    assert counts[0] == counts[1] <= 2 * 7 + 4 * len(statics)
+    assert np.array_equal(*values)

@@ -188,7 +188,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     """
     upper = highest_frequency(acquisition)
     seen = observed(result, np.linspace(0.0, upper, _FREQUENCIES))
-    in_px = remove_directions(result.motion.angles / result.scale, result.hidden / result.scale[:, None])
+    in_px = remove_directions(result.motion.angles / result.scale, result.hidden, result.scale)
     visible = in_px * result.scale
     tones = judged_tones(result, detect_tones(result.motion, highest=min(upper, _row_nyquist(result))))
     strip = _is_strip(acquisition)

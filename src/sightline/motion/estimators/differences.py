@@ -16,12 +16,16 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.estimation.series import DifferenceSeries
+from sightline.execution import slices
 from sightline.geometry.checks import as_points, as_times, frozen, same_length
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 
 #: A difference does not show an axis whose variance is so many times the median of its pair.
 UNSEEN = 100.0
+#: Differences that are turned at a time.
+AT_ONCE = 16384
 
 #: The angle that is seen along the lines.
 ROLL, PITCH, YAW = 0, 1, 2
@@ -116,7 +120,12 @@ class AngleDifferences:
 
     def turned(self, turn: Array) -> AngleDifferences:
         """The same differences about the axes that the rotation `turn` (3, 3) leads to."""
-        return replace(self, angles=self.angles @ turn.T, covariance=turn @ self.covariance @ turn.T)
+        covariance = scratch_array(self.covariance.shape)
+        for some in slices(len(self), AT_ONCE):
+            covariance[some] = turn @ self.covariance[some] @ turn.T
+            let_go()
+        covariance.setflags(write=False)  # nobody else has it: not copied
+        return replace(self, angles=self.angles @ turn.T, covariance=covariance)
 
 
 def by_pair(differences: Sequence[AngleDifferences]) -> list[AngleDifferences]:

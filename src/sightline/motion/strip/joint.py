@@ -812,7 +812,7 @@ def projected_covariance(
         inner += q3[some].reshape(-1, h).T @ cq[some].reshape(-1, h)
         let_go()
     del cq_grid
-    band, out = factor.covariance_band(4 * block - 1), np.empty((len(t), 3, 3))
+    band, out = factor.covariance_band(4 * block - 1), scratch_array((len(t), 3, 3))
     for some in parts:
         c = unit @ _interpolated(band, grid, block, t[some]) @ unit.T
         cross = np.einsum("nph,nqh->npq", cq[some], q3[some])
@@ -831,6 +831,9 @@ def variance_between_nodes(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Arra
     with k the autocovariance at the distances to the nodes used and K between them. Tones are sinusoids over
     a few nodes: their variance times ``|1 - sum w exp(2 pi i f d)|^2``.
     """
+    if len(t) > INSTANTS:
+        parts = slices(len(t), INSTANTS)
+        return np.concatenate([variance_between_nodes(spectrum, grid, t[some]) for some in parts])
     first, w = grid.weights(t)
     distance = grid.start + grid.step * (first[:, None] + np.arange(w.shape[1])) - t[:, None]
     apart = grid.step * np.abs(np.subtract.outer(np.arange(w.shape[1]), np.arange(w.shape[1])))

@@ -73,11 +73,12 @@ class TimeGrid:
 
     def interpolate(self, values: Array, t: Array) -> Array:
         """Node values (count, ...) at the instants `t` (N,)."""
-        out = np.empty((len(t), *values.shape[1:]))
+        out = scratch_array((len(t), *values.shape[1:]))
         for some in slices(len(t), _INSTANTS):
             first, w = self.weights(t[some])
             gathered = values[first[:, None] + np.arange(TAPS)]
             out[some] = np.einsum("nk,nk...->n...", w, gathered)
+            let_go()
         return out
 
     def spread(self, values: Array, t: Array) -> Array:

@@ -23,6 +23,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.pointing import pointing_matrices, turned_pointing
 from sightline.motion.measure.common_view import Views, usable
 from sightline.motion.measure.observations import Star
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 Part = Matern | Tone | TabulatedPsd
@@ -145,7 +146,7 @@ def turned_star(star: Star, turn: Array) -> Star:
 
 def turned_band(band: Array, turn: Array) -> Array:
     """Banded covariance of node angles, ``band[d, j] = C[j + d, j]`` with unknowns 3 node + axis, turned."""
-    out = np.zeros_like(band)
+    out = scratch_array(band.shape)
     count = band.shape[1] // 3
     for apart in range(len(band) // 3):
         lower = 3 * np.arange(count - apart)
@@ -159,4 +160,5 @@ def turned_band(band: Array, turn: Array) -> Array:
             for q in range(3):
                 if 3 * apart + p - q >= 0:
                     out[3 * apart + p - q, lower + q] = block[:, p, q]
+        let_go()
     return out
