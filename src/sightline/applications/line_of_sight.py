@@ -22,7 +22,16 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError, InputError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.estimation.search import CLOSELY, SETTLED
-from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, slices, steps_of
+from sightline.execution import (
+    Progress,
+    Step,
+    give_back_memory,
+    no_step,
+    one_blas_thread,
+    silent,
+    slices,
+    steps_of,
+)
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import not_negative
 from sightline.geometry.surface import Surface
@@ -325,7 +334,9 @@ def joint_line_of_sight(
         )
     if len(strip.bands) > 2:
         tell("predicting what was not used")
+    give_back_memory()
     withheld = judged(strip, state, options)
+    give_back_memory()
     result = replace(_result(strip, state, passed.changes, options.window, draft), withheld=withheld)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state))
     tdi = any(band.camera.stages is not None for band in strip.bands)
@@ -704,6 +715,7 @@ def _result(
     between = np.stack([variance_between_nodes(one, strip.grid, t) for one in spectra], axis=1)
     model = with_blur_errors(strip, state)
     unseen = turn @ np.diag(model.unseen_variance) @ turn.T
+    give_back_memory()
     for some in slices(len(t), INSTANTS):
         covariance[some] += turn @ (between[some, :, None] * np.eye(3)) @ turn.T + unseen
         let_go()

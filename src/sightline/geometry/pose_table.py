@@ -119,9 +119,13 @@ class PoseTable(ReadOnlyArrays):
         for some in slices(len(t), _AT_ONCE):
             attitude, rows[some, 9:] = camera_poses(t[some], trajectory, pointing, lever_arm, around, lean)
             rows[some, :9] = attitude.reshape(-1, 9)
-        origin = rows[:, 9:].mean(axis=0)
-        rows[:, 9:] -= origin
-        let_go()
+            # as of all at once: down a column one row is added after the other
+            total = np.concatenate([total, rows[some, 9:]]).sum(axis=0, keepdims=True)
+            let_go()
+        origin = total[0] / len(t)
+        for some in slices(len(t), _AT_ONCE):
+            rows[some, 9:] -= origin
+            let_go()
         if len(rows) < POINTS:
             nodes, places = np.arange(float(len(rows))), np.arange(float(POINTS))
             rows = interpolate(read_only(nodes), read_only(rows), read_only(places))

@@ -14,6 +14,7 @@ from sightline.access import read_arrays
 from sightline.applications.frame_attitude import FrameAttitude
 from sightline.applications.spin_attitude import SpinAttitude
 from sightline.errors import FormatError, foreign_errors
+from sightline.execution import give_back_memory
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
@@ -101,6 +102,7 @@ class Recovery(ResultKind):
         tell("writing the result and its report")
         acquired = acquisition or acquisition_of(result)
         summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begun)
+        give_back_memory()
         line_of_sight_page(result, acquired, summary, truth).write(folder / REPORT)
         return summary
 

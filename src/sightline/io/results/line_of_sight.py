@@ -24,6 +24,7 @@ from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import observed
 from sightline.evaluation.score import less_hidden, remove_directions, words_of_hidden
 from sightline.evaluation.tone_errors import judged_tones
+from sightline.execution import give_back_memory
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84
 from sightline.geometry.rotations import to_quat_xyzw
@@ -46,7 +47,7 @@ from sightline.io.results.microvibration import microvibration_summary, write_sm
 from sightline.io.results.relief import RELIEF, write_relief
 from sightline.io.results.spin import spin_summary
 from sightline.motion.observability import Passbands
-from sightline.motion.results import LineOfSight
+from sightline.motion.results import LineOfSight, PairResiduals
 from sightline.motion.tones import DetectedTone, detect_tones, spectrum
 from sightline.version import VERSION
 from sightline.writing import whole, whole_text
@@ -86,6 +87,8 @@ def write_result(
     dict
         The summary, as in ``summary.json``.
     """
+    # what was freed lies between what is held: of a long strip it is a good part of what is in memory
+    give_back_memory()
     motion = result.motion
     sigmas = result.sigma, result.absolute_sigma
     table = MotionTable(motion.t, motion.angles, *sigmas, result.observed, result.lines)
@@ -97,15 +100,20 @@ def write_result(
         write_aem(
             folder / "attitude.aem", motion.t, attitude, acquisition.epoch, object_name=name, frame=frame
         )
+    del attitude, table, sigmas
+    give_back_memory()
     summary = whole_summary(result, acquisition, wall_seconds=wall_seconds)
     if result.hidden.shape[2]:
         left_out = motion.angles - less_hidden(motion.angles, result.hidden, **_field(result, acquisition))
         write_hidden(folder, motion.t, result.hidden, result.hidden_names, left_out)
+        del left_out
+    give_back_memory()
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
     if _is_strip(acquisition):
         write_smear(folder / "smear.csv", result, summary["microvibration"])
     if result.differences:
         write_differences(folder / "differences.csv", result.differences, result.image_names)
+    give_back_memory()
     if result.relief is not None:
         write_relief(folder / RELIEF, result.relief)
     if result.band is not None:
@@ -190,7 +198,9 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     seen = observed(result, np.linspace(0.0, upper, _FREQUENCIES))
     in_px = remove_directions(result.motion.angles / result.scale, result.hidden, result.scale)
     visible = in_px * result.scale
+    give_back_memory()
     tones = judged_tones(result, detect_tones(result.motion, highest=min(upper, _row_nyquist(result))))
+    give_back_memory()
     strip = _is_strip(acquisition)
     bands = dict(zip(ANGLES, seen.passbands, strict=True))
     return {
@@ -225,7 +235,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "residual_rms_rejected_px": _rms(result, result.after_px, rejected=True),
         "matches": _matches(result),
         "control": _control(result),
-        "pairs": [_pair(result, k) for k in range(len(result.pairs))],
+        "pairs": [_pair(result, one) for one in result.pairs],
         "withheld": [vars(one) | {"pair": list(one.pair)} for one in result.withheld],
         "relief": _relief(result),
         "statics": [vars(static) for static in result.statics],
@@ -348,9 +358,9 @@ def _matches(result: LineOfSight) -> dict[str, Any]:
     }
 
 
-def _pair(result: LineOfSight, index: int) -> dict[str, Any]:
+def _pair(result: LineOfSight, pair: PairResiduals) -> dict[str, Any]:
     """One pair of images with what it left over."""
-    entry = dict(vars(result.pairs[index]))
+    entry = dict(vars(pair))
     entry["images"] = [result.image_names[image] for image in entry["images"]]
     return entry
 

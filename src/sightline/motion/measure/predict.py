@@ -21,7 +21,7 @@ from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import Matches
-from sightline.writing import scratch_array
+from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 MovingCamera = PushbroomCamera | FrameCamera
@@ -127,7 +127,9 @@ def _turned(camera: MovingCamera, angles: Array) -> MovingCamera:
     turn = scratch_array(motion.angles.shape)
     np.add(motion.angles, angles, out=turn)
     turn.setflags(write=False)
-    return camera.with_trajectory(trajectory.with_motion(replace(motion, angles=turn)))
+    motion = replace(motion, angles=turn)
+    let_go()
+    return camera.with_trajectory(trajectory.with_motion(motion))
 
 
 @dataclass(frozen=True, eq=False)

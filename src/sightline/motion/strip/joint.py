@@ -631,6 +631,8 @@ def _laid_factor(data: NormalEquations, prior: JointPrior, layout: Layout, free:
     pulled = scratch_array(laid.shape)
     own = prior.laid_width(layout)
     depth = max(own, farthest(place, data.ab.subdiagonals)) + 1
+    let_go()
+    give_back_memory()
 
     def columns(first: int, last: int) -> Array:
         p = prior.laid_columns(layout, first, last, own)

@@ -23,7 +23,7 @@ from sightline.compiled import njit
 from sightline.estimation.banded import products
 from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.series_kernels import share_of_instant
-from sightline.execution import available_processors, in_threads, slices
+from sightline.execution import available_processors, give_back_memory, in_threads, slices
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.windows import stretches
 from sightline.motion.strip.slow_errors import SlowErrors
@@ -656,6 +656,8 @@ def normal_equations(
     n = block * grid.count
     statics = stars[0].by_static.shape[3] + (0 if slow is None else slow.count * slow.each)
     width = min(bandwidth_of(stars, grid, block, orders, relief), n - 1)
+    # what earlier solutions have freed would stay beside pieces of the band
+    give_back_memory()
     ab = StoredBand(width, n)
     border, corner = scratch_array((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
