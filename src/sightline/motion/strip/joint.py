@@ -635,13 +635,14 @@ def _laid_factor(data: NormalEquations, prior: JointPrior, layout: Layout, free:
     give_back_memory()
 
     def columns(first: int, last: int) -> Array:
-        p = prior.laid_columns(layout, first, last, own)
-        add_band_times(p, laid, first, pulled)
-        let_go()
+        # the data first: they come in pieces of other columns, beside which no more than one band has room
         out = np.zeros((depth, last - first))
         low, high = np.searchsorted(place, (first, last)).tolist()
         if low < high:
             spread_columns(data.ab.columns(low, high), place, low, out, first)
+        p = prior.laid_columns(layout, first, last, own)
+        add_band_times(p, laid, first, pulled)
+        let_go()
         out[: len(p)] += p
         return out
 
