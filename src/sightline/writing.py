@@ -51,7 +51,8 @@ _scratch: ContextVar[Path | None] = ContextVar("_scratch", default=None)
 #: The scratch files that arrays lie in, made on any thread.
 _mapped: WeakSet[mmap.mmap] = WeakSet()
 _mapping = Lock()
-#: Page faults of this process when pages of these last left its memory, and how many are waited for.
+#: Page faults of this process when pages of these last left its memory, and how many are waited for: one that
+#: reads brings sixteen pages, so that 8 MiB may have come.
 _faults, _PAGES = 0, 128
 
 

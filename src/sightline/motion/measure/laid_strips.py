@@ -21,7 +21,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.imaging.reduce import Mapping, averaged
 from sightline.imaging.source import ImageSource
 from sightline.imaging.warp import STRAIGHT, WarpedImage
-from sightline.motion.measure.predict import MovingCamera
+from sightline.motion.measure.predict import MovingCamera, ground_of_column
 from sightline.motion.measure.windows import WindowGrid
 
 Array = NDArray[np.float64]
@@ -207,13 +207,10 @@ def line_places(camera: MovingCamera, surface: Surface) -> Array | None:
     """
     if not isinstance(camera, PushbroomCamera) or camera.lines <= PLACE_MEAN:
         return None
-    lines = np.arange(camera.lines, dtype=np.float64)
     mean = np.hanning(PLACE_MEAN + 2)[1:-1]
     out = np.empty((camera.lines, 2))
     for side, column in enumerate((0.0, camera.columns - 1.0)):
-        steps = np.diff(
-            camera.locate(np.stack([lines, np.full(len(lines), column)], axis=1), surface), axis=0
-        )
+        steps = np.diff(ground_of_column(camera, surface, column), axis=0)
         known = np.isfinite(steps).all(axis=1)
         steps[~known] = 0.0
         track = np.stack([np.convolve(part, mean, "same") for part in steps.T], axis=1)

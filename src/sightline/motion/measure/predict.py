@@ -16,6 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import slices
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Surface
@@ -36,6 +37,8 @@ ANGLE_STEP = 5e-7
 HEIGHT_STEP = 10.0
 #: Lines of an image up to which turned cameras are kept (100 bytes a line and turn).
 KEPT_LINES = 8192
+#: Lines that are located at a time.
+AT_ONCE = 16384
 
 #: Turned cameras by camera and angles.
 _KEPT: WeakKeyDictionary[PushbroomCamera, dict[tuple[float, ...], MovingCamera]] = WeakKeyDictionary()
@@ -99,6 +102,16 @@ class Sensitivities:
 def residuals(matches: Matches, predicted: Array) -> Array:
     """Measured minus predicted partners, (N, 2) px (S1's Res = M2 M2'); NaN where not matched."""
     return np.asarray(matches.b - predicted)
+
+
+def ground_of_column(camera: PushbroomCamera, surface: Surface, column: float) -> Array:
+    """(lines, 3) m; what one column of all lines sees, found some lines at a time."""
+    out = scratch_array((camera.lines, 3))
+    for some in slices(camera.lines, AT_ONCE):
+        lines = np.arange(some.start, some.stop, dtype=np.float64)
+        out[some] = camera.locate(np.column_stack([lines, np.full(len(lines), column)]), surface)
+        let_go()
+    return out
 
 
 def turned(camera: MovingCamera, angles: Array) -> MovingCamera:

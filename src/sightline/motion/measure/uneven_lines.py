@@ -20,7 +20,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.matching.matches import Matches
 from sightline.motion.measure.aliasing import RESPONSE_STEP
-from sightline.motion.measure.predict import MovingCamera, turned
+from sightline.motion.measure.predict import MovingCamera, ground_of_column, turned
 
 Array = NDArray[np.float64]
 
@@ -38,9 +38,7 @@ def uneven(camera: MovingCamera, surface: Surface) -> bool:
     """Whether the lines of a camera stand so unevenly on the ground that matches answer by less."""
     if not isinstance(camera, PushbroomCamera) or camera.trajectory.motion is None or camera.lines < 2:
         return False
-    middle = np.full(camera.lines, 0.5 * (camera.columns - 1.0))
-    ground = camera.locate(np.stack([np.arange(camera.lines), middle], axis=1), surface)
-    steps = np.diff(ground, axis=0)
+    steps = np.diff(ground_of_column(camera, surface, 0.5 * (camera.columns - 1.0)), axis=0)
     steps = steps[np.isfinite(steps).all(axis=1)]
     if not len(steps):
         return False
