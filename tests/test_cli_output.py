@@ -442,6 +442,34 @@ def test_a_date_that_is_none_is_refused_before_the_block(tmp_path, monkeypatch):
         raise AssertionError("the block was begun")
 
 
+def test_a_signal_in_the_last_step_of_publishing_is_reported_as_a_complete_result(
+    tmp_path, monkeypatch, capsys
+):
+    from sightline.cli import main
+
+    def work(words, **options):
+        with output_folder(tmp_path / "out", resume=False) as staging:
+            stages = stages_folder(tmp_path / "out")
+            stages.mkdir(parents=True)
+            (stages / "pass-1.stage.npz").touch()
+            write(staging, RESULT)
+
+    unlink = Path.unlink
+
+    def signalled(path, missing_ok=False):
+        unlink(path, missing_ok)
+        if path.name == publish.JOURNAL:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(main, "app", work)
+    monkeypatch.setattr(Path, "unlink", signalled)
+    assert main.run(["recover"]) == 130
+    said = capsys.readouterr().err
+    assert said == f"sightline: error: interrupted; the result is complete: {tmp_path / 'out'}\n"
+    monkeypatch.undo()
+    assert content(tmp_path / "out") == PUBLISHED  # no finished stages are left either
+
+
 def test_a_signal_after_the_result_has_its_names_is_reported_as_that(tmp_path, monkeypatch, capsys):
     from sightline.cli import main
 

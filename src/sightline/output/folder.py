@@ -126,8 +126,7 @@ def output_folder(
                     _refuse_changed(inputs, folder if resume is not None else None, error)
                     raise
                 _refuse_changed(inputs, folder if resume is not None else None)
-                publish(folder, staging, left, inputs)
-                published.append(folder)
+                publish(folder, staging, left, inputs, lambda: published.append(folder))
     except OSError as error:
         refusal = _refusal(error, folder)
         if refusal is None:
@@ -161,7 +160,9 @@ def _stages(folder: Path, resume: bool | None, note: Note, *, overwrite: bool) -
     except BaseException as error:
         kept = f"finished stages wait in {place}; the same command goes on from them, also without --resume"
         corrected = f"finished stages wait in {place}; a corrected run goes on from those it has in common"
-        if folder not in published:
+        if folder in published:
+            _remove_stages(folder)
+        else:
             finished = place.is_dir() and any(_STAGE_FILE.fullmatch(path.name) for path in place.iterdir())
             if not finished:
                 _remove_stages(folder)

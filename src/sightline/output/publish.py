@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
@@ -67,8 +67,13 @@ class _Move:
         return bool(parts) and not self.name.startswith("/") and ".." not in parts and "\0" not in self.name
 
 
-def publish(folder: Path, staging: Path, earlier: Iterable[str], inputs: Inputs) -> None:
-    """Move all new files to their names; if that fails, everything is as it was before."""
+def publish(
+    folder: Path, staging: Path, earlier: Iterable[str], inputs: Inputs, done: Callable[[], object]
+) -> None:
+    """Move all new files to their names; if that fails, everything is as it was before.
+
+    `done` is called once the new files are the result, be it that an interruption met the last step.
+    """
     moves = _planned(folder, staging / NEW, earlier, inputs)
     if any(os.path.lexists(move.at(folder)) for move in moves if move.kind != "folder"):
         # earlier results go: after a power cut either they or the new ones must be on the disk
@@ -81,11 +86,15 @@ def publish(folder: Path, staging: Path, earlier: Iterable[str], inputs: Inputs)
     try:
         for move in moves:
             _apply(move, folder, staging)
+        # from here on the new result is what holds
+        (staging / JOURNAL).unlink()
     except BaseException:
-        roll_back(folder, staging)
+        if file_kind(staging / JOURNAL):
+            roll_back(folder, staging)
+        else:
+            done()
         raise
-    # from here on the new result is what holds
-    (staging / JOURNAL).unlink()
+    done()
 
 
 def _planned(folder: Path, new: Path, earlier: Iterable[str], inputs: Inputs) -> list[_Move]:
