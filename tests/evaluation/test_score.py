@@ -154,3 +154,10 @@ def test_what_is_hidden_leaves_a_motion_of_many_lines_as_it_leaves_one_of_few(mo
     assert pieces == pytest.approx(whole, abs=1e-6)
     # of 3000 values of white noise seven are fitted
     assert np.std(pieces) == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize("lines", [64, 65, 200])
+def test_where_nothing_is_hidden_a_motion_of_any_length_stays_as_it_is(monkeypatch, lines):
+    monkeypatch.setattr("sightline.evaluation.score.AT_ONCE", 64)
+    values = np.random.default_rng(4).normal(size=(lines, 3))
+    assert np.array_equal(remove_directions(values, np.zeros((lines, 3, 0)), np.full(3, 1e-6)), values)

@@ -286,7 +286,8 @@ def _less_many(values: Array, directions: Array, unit: Array) -> Array:
     parts = slices(len(values), AT_ONCE)
 
     def basis(some: slice) -> Array:
-        return np.asarray((directions[some] / unit).reshape(-1, directions.shape[2]))
+        # nothing may be hidden: of no directions numpy does not tell how many rows are meant
+        return np.asarray((directions[some] / unit).reshape(3 * len(values[some]), directions.shape[2]))
 
     size = np.sqrt(np.sum([(basis(some) ** 2).sum(axis=0) for some in parts], axis=0))
     used = np.flatnonzero(size > 0.0)
