@@ -381,6 +381,23 @@ def test_tones_that_die_and_do_not_are_as_large_as_they_are(width: float) -> Non
     assert np.sum(variance, axis=0)[0] / np.sum(variance, axis=0)[1] == pytest.approx(1.0, abs=0.25)
 
 
+def test_a_tone_beside_a_blind_frequency_is_no_narrower_than_the_places_where_it_was_looked_for() -> None:
+    """0.03 Hz beside 1 / 22 ms, where its size changes much between places a fiftieth of 1 / T apart."""
+    blind, t, rng = 1.0 / 0.022, STEP * np.arange(N), np.random.default_rng([20, 77])
+    tone = 20.0 * np.sqrt(2.0) * np.sin(2.0 * np.pi * (blind + 0.03) * t + rng.uniform(0.0, 6.28))
+    x, k = drawn(Spectrum(TRUE.components[:2]), 20) + tone, np.arange(0, N - 44, 5)
+    pairs = [
+        DifferenceSeries(
+            k * STEP, np.full(len(k), lag * STEP), x[k + lag] - x[k] + rng.normal(0.0, 0.005, len(k)),
+            np.full(len(k), 0.005**2),
+        )
+        for lag in (22, 44)
+    ]  # fmt: skip
+    (found,) = [one for one in fit_spectrum(pairs).spectrum.tones if abs(one.frequency - blind) < 1.0]
+    # the data and the grid reach no farther than a tenth beyond T
+    assert found.bandwidth > 0.02 / 1.1 / (N * STEP)
+
+
 def test_at_a_blind_frequency_a_known_tone_may_be_as_large_as_the_drift(motion) -> None:  # type: ignore[no-untyped-def]
     (only,) = [s for s in measured(motion, 0.03) if abs(s.lag[0] - 0.022) < 1e-9]
     seen, blind = (

@@ -34,7 +34,7 @@ ALIAS_PENALTY = 8.0
 #: Half-width of the weak Gaussian belief about every log parameter: a factor of e^3 about its start.
 BELIEF = 3.0
 #: Bandwidth that a tone is believed to have, as weakly as all other parameters, and the least, in units of
-#: one over the length of the data: an oscillator of the first loses a third of itself in it. Where noise is
+#: one over the length of the data: an oscillator of the first loses a quarter of itself in it. Where noise is
 #: small, a belief in wider tones, or a larger least width, makes a tone that does not die smaller than it is,
 #: and gives it jitter of frequencies beside it that the broadband part then lacks.
 USUAL_WIDTH, LEAST_WIDTH = 0.1, 2e-4
@@ -709,8 +709,9 @@ class Search:
             return None
         power = variance @ weight
         middle = float(power @ f / power.sum())
-        _, least, _ = tone_widths(middle, self._length)
-        width = max(2.0 * math.sqrt(float(power @ (f - middle) ** 2 / power.sum())), least)
+        # between two of the places it may lie as well
+        apart = 2.0 * DOUBT / (DOUBT_PLACES - 1) / self._length
+        width = max(2.0 * math.sqrt(float(power @ (f - middle) ** 2 / power.sum())), apart)
         return Tone(math.sqrt(float(power.sum())), middle, width)
 
     def _mean_size(self, model: NoiseModel, part: int, fitted: float, usual: float) -> float | None:
