@@ -49,12 +49,12 @@ def test_a_small_height_sigma_that_matters_only_once_matches_are_dense_is_taken(
 def test_relief_left_out_must_be_owned_by_the_sigma(strip, owned):
     plane = Plane(float(strip[0].scene.relief.heights.mean()))
     ignored = scored(strip, plane, 0.0, passes=1)
-    # the score's own 95 % bounds for so many independent samples
     for name in ("roll", "yaw"):
+        # the score's own 95 % bounds for so many independent samples, some five where relief is owned: of one
+        # such strip in forty a true sigma is beyond them
         assert getattr(ignored, name).nees > getattr(ignored, name).nees_high
-        assert (
-            0.5 * getattr(owned, name).nees_low < getattr(owned, name).nees < getattr(owned, name).nees_high
-        )
+        low, high = bounds(getattr(owned, name).effective_samples)
+        assert low < getattr(owned, name).nees < high < getattr(ignored, name).nees
     # pitch beside unknown relief rests on some four slow numbers
     assert bounds(4)[0] < owned.pitch.nees < owned.pitch.nees_high
     # a mean height that drifts by 300 m in a second imitates pitch: the sigma owns it
@@ -68,7 +68,7 @@ def test_ground_known_to_a_kilometre_is_recovered_beside_the_motion(strip, owned
     loose = scored(strip, plane, 1e3, passes=1)
     for name in ("roll", "yaw"):  # which unknown heights hardly touch: as well as with the sigma that is true
         assert getattr(loose, name).rms < 1.2 * getattr(owned, name).rms
-        assert getattr(loose, name).nees < getattr(loose, name).nees_high
+        assert getattr(loose, name).nees < bounds(getattr(loose, name).effective_samples)[1]
 
 
 def test_flat_ground_said_to_be_unknown_costs_little():
