@@ -442,11 +442,21 @@ def test_a_date_that_is_none_is_refused_before_the_block(tmp_path, monkeypatch):
         raise AssertionError("the block was begun")
 
 
+def assert_reported_as_complete(out, work, owner, name, signalled, monkeypatch, capsys):
+    """`work` is the command, and `signalled` stands for what `owner` calls `name` while it ends."""
+    from sightline.cli import main
+
+    monkeypatch.setattr(main, "app", work)
+    monkeypatch.setattr(owner, name, signalled)
+    assert main.run(["recover"]) == 130
+    said = capsys.readouterr().err
+    assert said == f"sightline: error: interrupted; the result is complete: {out}\n"
+    monkeypatch.undo()
+
+
 def test_a_signal_in_the_last_step_of_publishing_is_reported_as_a_complete_result(
     tmp_path, monkeypatch, capsys
 ):
-    from sightline.cli import main
-
     def work(words, **options):
         with output_folder(tmp_path / "out", resume=False) as staging:
             stages = stages_folder(tmp_path / "out")
@@ -461,18 +471,11 @@ def test_a_signal_in_the_last_step_of_publishing_is_reported_as_a_complete_resul
         if path.name == publish.JOURNAL:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(main, "app", work)
-    monkeypatch.setattr(Path, "unlink", signalled)
-    assert main.run(["recover"]) == 130
-    said = capsys.readouterr().err
-    assert said == f"sightline: error: interrupted; the result is complete: {tmp_path / 'out'}\n"
-    monkeypatch.undo()
+    assert_reported_as_complete(tmp_path / "out", work, Path, "unlink", signalled, monkeypatch, capsys)
     assert content(tmp_path / "out") == PUBLISHED  # no finished stages are left either
 
 
 def test_a_signal_after_the_result_has_its_names_is_reported_as_that(tmp_path, monkeypatch, capsys):
-    from sightline.cli import main
-
     def late(words, **options):
         with output_folder(tmp_path / "out", resume=False) as staging:
             write(staging, RESULT)
@@ -480,12 +483,7 @@ def test_a_signal_after_the_result_has_its_names_is_reported_as_that(tmp_path, m
     def signalled(staging):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(main, "app", late)
-    monkeypatch.setattr(output, "_remove", signalled)
-    assert main.run(["recover"]) == 130
-    said = capsys.readouterr().err
-    assert said == f"sightline: error: interrupted; the result is complete: {tmp_path / 'out'}\n"
-    monkeypatch.undo()
+    assert_reported_as_complete(tmp_path / "out", late, output, "_remove", signalled, monkeypatch, capsys)
     assert content(tmp_path / "out").items() >= PUBLISHED.items()
     with output_folder(tmp_path / "out", overwrite=True):
         pass

@@ -30,6 +30,7 @@ from sightline.geometry.checks import (
     same_length,
 )
 from sightline.geometry.interpolation import interpolate, interpolate_hermite, stencils
+from sightline.writing import let_go, scratch_array
 
 #: Times this close beyond a span count as its end (s): ten times the float64 step of t at one day.
 TIME_SLACK = 1e-10
@@ -149,7 +150,13 @@ class Motion(ReadOnlyArrays):
 
     def shifted(self, angles: ArrayLike) -> Motion:
         """The same motion plus constant `angles` (roll, pitch, yaw; rad)."""
-        return replace(self, angles=self.angles + as_vector(angles, "angles"))
+        # a dozen turned cameras are held at a time: of a long strip their motions are more than all else
+        shifted = scratch_array(self.angles.shape)
+        np.add(self.angles, as_vector(angles, "angles"), out=shifted)
+        shifted.setflags(write=False)  # nobody else has it: not copied
+        motion = replace(self, angles=shifted)
+        let_go()
+        return motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ Not here: measuring the partner (``matching/match_images.py``), solving (``motio
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -136,13 +136,7 @@ def _turned(camera: MovingCamera, angles: Array) -> MovingCamera:
         first, last = trajectory.span
         # a frame is exposed at one instant
         motion = Motion.zero(first, last) if last > first else Motion.zero(first - 0.5, last + 0.5)
-    # a dozen turned cameras are held at a time: of a long strip their motions are more than all else of them
-    turn = scratch_array(motion.angles.shape)
-    np.add(motion.angles, angles, out=turn)
-    turn.setflags(write=False)
-    motion = replace(motion, angles=turn)
-    let_go()
-    return camera.with_trajectory(trajectory.with_motion(motion))
+    return camera.with_trajectory(trajectory.with_motion(motion.shifted(angles)))
 
 
 @dataclass(frozen=True, eq=False)
