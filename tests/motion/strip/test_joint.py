@@ -441,23 +441,49 @@ def test_sums_do_not_depend_on_the_pieces_they_are_made_of(monkeypatch, relief):
     measured = [s.residual_px for s in stars]
     nodes = np.random.default_rng(2).standard_normal((COUNT, 5 if relief else 3))
 
-    def summed(patches):
+    def summed(patches, most_bytes=10**9):
         monkeypatch.setattr(equations, "PART_PATCHES", patches)
+        monkeypatch.setattr(equations, "PART_BYTES", most_bytes)
         data = normal_equations(
             stars, measured, grid, orders=[GroundOrder(), GroundOrder(0.03)], relief=relief
         )
         return data, [modelled(s, grid, nodes, np.ones(2), GroundOrder(0.03)) for s in stars]
 
-    (whole, read), (parts, read_in_parts) = summed(10**6), summed(9)
-    for name in ("ab", "border", "corner", "rhs", "rhs_static", "chi2", "rows"):
-        one, many = (
-            np.asarray(part.whole() if isinstance(part, StoredBand) else part)
-            for part in (getattr(whole, name), getattr(parts, name))
-        )
-        # sums of some hundred terms in another order: 1e-13 of the largest
-        np.testing.assert_allclose(many, one, rtol=0, atol=1e-13 * np.abs(one).max())
-    for one, many in zip(read, read_in_parts, strict=True):
-        np.testing.assert_array_equal(one, many)
+    whole, read = summed(10**6)
+    for limits in ((9,), (10**6, 1)):
+        parts, read_in_parts = summed(*limits)
+        for name in ("ab", "border", "corner", "rhs", "rhs_static", "chi2", "rows"):
+            one, many = (
+                np.asarray(part.whole() if isinstance(part, StoredBand) else part)
+                for part in (getattr(whole, name), getattr(parts, name))
+            )
+            # sums of some hundred terms in another order: 1e-13 of the largest
+            np.testing.assert_allclose(many, one, rtol=0, atol=1e-13 * np.abs(one).max())
+        for one, many in zip(read, read_in_parts, strict=True):
+            np.testing.assert_array_equal(one, many)
+
+
+@pytest.mark.parametrize("most_bytes", [10**9, 10**6, 1])
+def test_rows_far_apart_are_summed_in_parts_whose_bands_have_room(monkeypatch, most_bytes):
+    star, grid = small_star(), TimeGrid(0.0, STEP / 8, 8 * COUNT)  # 14 nodes from row to row
+    monkeypatch.setattr(equations, "PART_BYTES", most_bytes)
+    summed, bands = equations._summed, []
+
+    def noted(*given):
+        found = summed(*given)
+        bands.append(max(one.ab.nbytes for one in found.stretches))
+        return found
+
+    monkeypatch.setattr(equations, "_summed", noted)
+    orders = [GroundOrder()]
+    normal_equations([star], [star.residual_px], grid, orders=orders, relief=False)
+    width = equations.bandwidth_of([star], grid, 3, orders, False)
+    if most_bytes == 1:
+        # as many nodes between its rows as its lags reach beyond them, and the eight that interpolation takes
+        assert max(bands) <= 8 * (width + 1) * (2 * width + 3 * 8)
+    else:
+        assert max(bands) <= most_bytes
+    assert (len(bands) == 1) == (most_bytes == 10**9)
 
 
 def test_a_motion_found_on_a_coarse_grid_is_carried_to_a_finer_one_without_images_of_its_tones():

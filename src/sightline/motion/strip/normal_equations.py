@@ -38,8 +38,9 @@ TAPS = 4
 PART_PATCHES, PART_ROWS, SLOW_ROWS = 16384, 512, 64
 #: Instants that are interpolated at a time.
 _INSTANTS = 16384
-#: Bytes of the bands of parts that are summed at a time, one part at least.
-AT_ONCE_BYTES = 64_000_000
+#: Bytes of the band of a part, unless lags alone ask for more, and of those that are summed at a time, one
+#: part at least.
+PART_BYTES, AT_ONCE_BYTES = 16_000_000, 64_000_000
 
 
 @dataclass(frozen=True)
@@ -662,19 +663,20 @@ def normal_equations(
     border, corner = scratch_array((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
     chi2, rows = 0.0, 0
+    most = PART_ROWS if slow is None else SLOW_ROWS
     pieces = [
         _Piece(star, left, order, part, slow)
         for star, left, order in zip(stars, measured, orders, strict=True)
-        for part in _parts(star, PART_ROWS if slow is None else SLOW_ROWS)
+        for part in _parts(star, min(most, _rows_with_room(star, grid, block, width)))
     ]
     # those of all stars in the order of time, so that what lies on disk is gone through once
     pieces.sort(key=lambda piece: float(piece.star.t_hub[piece.part.start]))
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
     at_once = _at_once(pieces, grid, block, width)
     for begin in range(0, len(pieces), at_once):
-        for sums in in_threads(
-            lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + at_once]
-        ):
+        found = in_threads(lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + at_once])
+        while found:  # none is held while others are summed
+            sums = found.pop(0)
             for one in sums.stretches:
                 here = slice(one.first, one.first + len(one.rhs))
                 ab.add(one.first, one.ab)
@@ -684,6 +686,7 @@ def normal_equations(
             rhs_static[sums.beside] += sums.rhs_static
             chi2 += sums.chi2
             rows += sums.rows
+            del sums, one
         let_go()
     return NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, rows)
 
@@ -785,6 +788,20 @@ def _support(star: Star, grid: TimeGrid) -> int:
 def _parts(star: Star, most: int = PART_ROWS) -> list[slice]:
     """Whole rows of windows of a star, some at a time."""
     return stretches(*star.shape, min(PART_PATCHES, most * star.shape[1]))
+
+
+def _rows_with_room(star: Star, grid: TimeGrid, block: int, width: int) -> int:
+    """Rows of windows whose band has PART_BYTES, PART_ROWS at most and one at least.
+
+    It spans their nodes and, beyond these, those that lags reach: at least half of it shall be the former.
+    """
+    rows = star.shape[0]
+    if rows < 2:
+        return PART_ROWS
+    beyond = width / block
+    nodes = max(PART_BYTES / (8 * (width + 1) * block) - beyond, beyond)
+    between = abs(star.t_hub[-1] - star.t_hub[0]) / (grid.step * (rows - 1))
+    return max(int(nodes / max(between, nodes / PART_ROWS)), 1)
 
 
 def _at_once(pieces: Sequence[_Piece], grid: TimeGrid, block: int, width: int) -> int:
