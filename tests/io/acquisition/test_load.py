@@ -322,6 +322,13 @@ def test_bands_that_see_all_at_the_same_time_are_refused(folder):
     assert "same ground at the same time (lag 0), so motion cannot be seen" in said
 
 
+def test_tdi_stages_make_no_lag(folder):
+    """They spread over time what a band sees, and would pass for the way out of a lag of 0."""
+    folder.replace("look_ahead = 2e-4", "look_ahead = 0.0").add("stages = 16\n")
+    said = message(folder, InputError)
+    assert "(lag 0), XS (16) over TDI stages: stages make no lag" in said and "check look_ahead" in said
+
+
 def test_units_that_cannot_belong_together_are_refused(folder):
     said = message(folder.replace("altitude = 700e3", "altitude = 700.0"), InputError)
     assert "lines are 3.5 m apart on the ground and pixels 0.0035 m wide" in said

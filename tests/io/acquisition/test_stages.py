@@ -71,6 +71,7 @@ def test_tags_give_every_line_its_own(tmp_path):
         ({"stages": "stages.csv"}, "time_reference is missing: stages are from 4 to 5"),
         ({"stages": 8, "stages_signal": 10.0}, "leave it out"),
         ({"stages_signal": 10.0}, "without stages"),
+        ({"time_reference": "first-stage"}, "time_reference = 'first-stage' is given without stages"),
         ({"stages": "stages.csv", "stages_signal": 10.0}, "has no column 'signal'"),
     ],
 )

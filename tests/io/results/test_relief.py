@@ -34,3 +34,8 @@ def test_relief_of_another_image_is_refused(tmp_path, entry):
     write_relief(tmp_path / "relief.csv", FOUND)
     with pytest.raises(FormatError, match=r"summary\.json"):
         read_relief(tmp_path, {"relief": entry}, ("B", "G"))
+
+
+def test_relief_that_is_missing_asks_for_another_run(tmp_path):
+    with pytest.raises(FormatError, match=r"relief.csv: is missing, .* run `sightline recover` again"):
+        read_relief(tmp_path, {"relief": {"image": "G"}}, ("B", "G"))

@@ -47,7 +47,7 @@ def test_lines_that_average_over_most_of_the_strip_are_refused(strip):
         return replace(strip, bands=(strip.bands[0], replace(one, camera=camera)))
 
     checked(of(200), RecoverOptions())
-    with pytest.raises(EstimationError, match=r"'band 1' averages over 201 stages, .* half of the 401 lines"):
+    with pytest.raises(InputError, match=r"'band 1' averages over 201 stages, .* half of the 401 lines"):
         checked(of(201), RecoverOptions())
 
 

@@ -418,6 +418,8 @@ def check_overlap(
     ------
     GeometryError
         Names the image.
+    InputError
+        Where the instant is the same, of bands with TDI stages.
     """
     moving = False
     for k, camera in enumerate(cameras):
@@ -445,6 +447,17 @@ def check_overlap(
                     "check first_line_time, or the times of the sensor models"
                 )
     if not moving and not still:
+        staged = [
+            f"{name} ({int(np.max(camera.stages))})"
+            for name, camera in zip(names, cameras, strict=True)
+            if isinstance(camera, PushbroomCamera) and camera.stages is not None
+        ]
+        if staged:
+            raise InputError(
+                f"{path}: all images see the same ground at the same time (lag 0), {', '.join(staged)} over "
+                "TDI stages: stages make no lag, so motion cannot be seen; two bands or more that see it at "
+                "unlike times are needed: check look_ahead, first_line_time and time_reference"
+            )
         raise GeometryError(
             f"{path}: all images see the same ground at the same time (lag 0), so motion cannot be seen; "
             "check look_ahead and first_line_time"

@@ -44,6 +44,11 @@ def stages_of(band: BandSection, shape: tuple[int, int], where: str, files: Inpu
             raise FormatError(
                 f"{where}: stages_signal is given without stages; give stages = a choice.csv of `tdi` too"
             )
+        if band.time_reference not in (None, "centre"):
+            raise FormatError(
+                f"{where}: time_reference = {band.time_reference!r} is given without stages: it says which "
+                "of them first_line_time and look_ahead are of; give stages too, or leave it out"
+            )
         return None
     if isinstance(band.stages, int):
         if band.stages_signal is not None:

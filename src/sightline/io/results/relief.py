@@ -39,6 +39,11 @@ def read_relief(folder: Path, summary: Mapping[str, Any], images: Sequence[str])
         Its ``summary.json``.
     images : sequence of str
         Names of the images, in the order in which the relief counts them.
+
+    Raises
+    ------
+    FormatError
+        If the table is missing or damaged, or of another image.
     """
     entry = summary.get("relief")
     if entry is None:
@@ -49,6 +54,11 @@ def read_relief(folder: Path, summary: Mapping[str, Any], images: Sequence[str])
     if name not in images:
         raise FormatError(f"{place}: `relief` is of image {name!r}; there are: {', '.join(images)}")
     path = folder / RELIEF
+    if not path.is_file():
+        raise FormatError(
+            f"{path}: is missing, though {place} names the ground that was found; without it bands lie apart "
+            "where that differs from what was given: run `sightline recover` again"
+        )
     table = read_columns(path, COLUMNS)
     columns = [np.asarray(table[key], dtype=np.float64) for key in COLUMNS]
     check_times(path, columns[0])

@@ -46,10 +46,10 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
     ------
     InputError
         Names the key, its value and what is allowed: tones or a spectrum that these lines cannot hold,
-        windows that do not fit in the images, listed features that lie outside, control points out of place.
+        windows that do not fit in the images, listed features that lie outside, control points out of place,
+        stages over most of the strip.
     EstimationError
-        If too few windows see the same ground in two images, none has a neighbour in its row, or lines
-        average over most of the strip.
+        If too few windows see the same ground in two images, or none has a neighbour in its row.
     """
     _check_stages(strip)
     if options.weighting == "predicted" and all(band.match_sigma is None for band in strip.bands):
@@ -174,7 +174,7 @@ def _check_stages(strip: Strip) -> None:
     for band in strip.bands:
         most = 1 if band.camera.stages is None else int(np.asarray(band.camera.stages).max())
         if 2 * most > band.camera.lines:
-            raise EstimationError(
+            raise InputError(
                 f"each line of {band.name!r} averages over {most} stages, more than half of the "
                 f"{band.camera.lines} lines of its image: all its lines average over nearly the same motion, "
                 "of which they show nothing; check `stages`, or give a longer image"
