@@ -29,8 +29,9 @@ Array = NDArray[np.float64]
 
 #: Windows (lines, columns) px at most, and how many must lie on both images to prove anything.
 WINDOW, FEWEST = (32, 100), 10
-#: Windows that are tried at most: evenly spread.
-MOST = 400
+#: Windows that are tried at most: evenly spread; where there are fewer than so many, rows of them overlap by
+#: half: a short strip with a long lag has fewer than FEWEST on both images.
+MOST, FULL = 400, 40
 #: Share of the windows on both images that match where bands belong together.
 ENOUGH = 0.5
 #: Lags up to so many times the one given are tried, or so many lines, by so many windows, in steps of so many
@@ -194,6 +195,8 @@ class _Pair:
     def of(cls, hub: Band, partner: Band, surface: Surface, search_px: tuple[int, int]) -> _Pair:
         size = (min(WINDOW[0], hub.image.shape[0]), min(WINDOW[1], hub.image.shape[1]))
         points = window_grid(hub.image.shape, size, size[0]).centres
+        if len(points) < FULL:
+            points = window_grid(hub.image.shape, size, max(size[0] // 2, 1)).centres
         points = points[np.linspace(0, len(points) - 1, min(len(points), MOST)).astype(int)]
         there = predict_match(hub.camera, partner.camera, surface, points)
         of_hub, of_partner = pixel_sizes([hub.camera, partner.camera])
