@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 
 #: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
-PIECE_BYTES, HELD_BYTES = 12_000_000, 12_000_000
+PIECE_BYTES, HELD_BYTES = 6_000_000, 12_000_000
 #: Columns of a piece at least.
 LEAST_COLUMNS = 64
 #: Unknowns of arrays beside a band that are worked on at a time.
