@@ -262,6 +262,8 @@ def match_star(
     wrong = found_wrong(before, hub, grid, k)
     chosen = chosen_windows(images[hub], hub, grid.centres, grid.window, plan.selection)
     moves = _Moves.empty(g, k, len(statics))
+    # what matching another star has freed would stay beside what is laid for this one
+    give_back_memory()
     found = _prepared(strips, partners, statics, wrong, filters, moves)
     give_back_memory()
     camera, predicted = cameras[hub], [partner.predicted for partner in found]
