@@ -1,12 +1,13 @@
 """Strips of TDI, imaged stage by stage: what comes back is the motion itself, and sigma owns what is hidden.
 
-    python validation/tdi_strips.py                        five settings, five seeds each
+    python validation/tdi_strips.py                        five settings, ten seeds each
     python validation/tdi_strips.py --stages 16 --seeds 7
 
 The nominal motion (tones of 47, 83 and 121 Hz) at SNR 120, strips of 1200 x 320 pixels; 8, 16 or 32 stages
 everywhere, or 16/32/16 across the field, timed by the first stage; 500 lines through 16 stages. Rms error per
 axis in px (yaw: at the field's edge) after the hidden directions are fitted away, NEES, windows kept. 16 and
-32 stages leave .03 of 121 Hz, of .08 px rms: NEES says whether what is not found of it is owned.
+32 stages leave .03 of 121 Hz, of .08 px rms: NEES says whether what is not found of it is owned. That of one
+strip of .6 s scatters by .35: over five strips the mean would be told to .16, over ten to .11.
 
 Last, the amplitudes of 47 Hz: cosine and sine of the motion's error under a Hann window, in units of the
 covariance of the result, over all axes and seeds.
@@ -88,7 +89,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--stages", nargs="+", choices=CASES, default=list(CASES))
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[*range(10)])
     given = parser.parse_args()
     print("| stages | seed | roll rms (NEES) | pitch | yaw | windows | chi-square of 47 Hz (6) |")
     print("|---|---|---|---|---|---|---|")

@@ -86,9 +86,9 @@ MAGNIFIED = {"scale_sigma": 6e-4, "snr": 100.0}
 CASES = {
     "4:1": Case(coarse(4.0), FIVE, rms=PAN, kept=0.9),
     "4:1, colour first": Case(coarse(4.0, colour_first=True), TEN, rms=PAN, kept=0.9),
-    "1.5:1": Case(coarse(1.5)),
-    "2:1": Case(coarse(2.0)),
-    "3:1": Case(coarse(3.0)),
+    "1.5:1": Case(coarse(1.5), TEN),
+    "2:1": Case(coarse(2.0), TEN),
+    "3:1": Case(coarse(3.0), TEN),
     "6:1": Case(coarse(6.0)),
     "six bands": Case(SIX, TEN),
     "focal length, said": Case({**coarse(4.0), "scale_sigma": 0.02}, TEN),
