@@ -451,8 +451,16 @@ def _measured(
     matches = matched(partner.laid, step)
     finer = strips.finer(partner.image)
     tdi = any(getattr(cameras[image], "stages", None) is not None for image in (hub, partner.image))
+    pooled = finer or strips.finest is not None or tdi or plan.weighting != "covariance"
     unlike = finer or strips.uneven or strips.finest is not None
-    pooled = unlike or tdi or plan.weighting != "covariance"
+    shares = None
+    if strips.uneven and not (finer and not strips.searched):
+
+        def laid_by(other: Sequence[MovingCamera]) -> Matches:
+            return matched(laid_on(strips.images, other, strips.surface, hub, partner.image))
+
+        whole = partner.by_partner, partner.predicted.affine
+        shares = answers(strips.blurred, partner.image, matches, *whole, laid_by)
     for some in [slice(0, grid.count)] if pooled else grid.stretches():
         good = matches.kept[some] & partner.moved[some] & partner.seen[some]
         centres, b, t = points[some], partner.predicted.b[some], partner.predicted.t[some]
@@ -462,13 +470,8 @@ def _measured(
             steps = ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
             moved = [matched(strips.laid(partner.image, moved=further)) for further in steps]
             turn = turn @ np.linalg.inv(response(matches, moved)[good])
-        elif strips.uneven:
-
-            def laid_by(other: Sequence[MovingCamera]) -> Matches:
-                return matched(laid_on(strips.images, other, strips.surface, hub, partner.image))
-
-            found = answers(strips.blurred, partner.image, matches, by[1], affine, laid_by)
-            share = found[good]
+        elif shares is not None:
+            share = shares[some][good]
             turn = turn / np.stack([share, np.ones(len(share))], axis=1)[:, :, None]
         shift, uncertain = matches.b[some][good] - centres[good], matches.covariance_px[some][good]
         if strips.finest is not None and not finer:

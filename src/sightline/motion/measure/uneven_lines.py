@@ -16,11 +16,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import slices
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.matching.matches import Matches
 from sightline.motion.measure.aliasing import RESPONSE_STEP
 from sightline.motion.measure.predict import MovingCamera, ground_of_column, turned
+from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
@@ -32,6 +34,8 @@ UNEVEN = 0.1
 FARTHEST, LEAST = 0.5, 0.3
 #: Angles that may move lines: roll and pitch.
 TURNS = 2
+#: Windows whose answers are found at a time.
+AT_ONCE = 16384
 
 
 def uneven(camera: MovingCamera, surface: Surface) -> bool:
@@ -85,9 +89,13 @@ def answers(
     other = list(cameras)
     other[partner] = turned(cameras[partner], turn)
     moved = matched(other)
-    found = np.einsum("nij,nj->ni", affine[good], moved.b[good] - matches.b[good])[:, 0]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = -found / (along[:, axis] * turn[axis])
+    share = np.empty(len(good))
+    for part in slices(len(good), AT_ONCE):
+        some = good[part]
+        found = np.einsum("nj,nj->n", affine[some, 0], moved.b[some] - matches.b[some])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share[part] = -found / (along[part, axis] * turn[axis])
+        let_go()
     usable = moved.kept[good] & np.isfinite(share)
     if not usable.any():
         return out
