@@ -671,22 +671,25 @@ def normal_equations(
     ]
     # those of all stars in the order of time, so that what lies on disk is gone through once
     pieces.sort(key=lambda piece: float(piece.star.t_hub[piece.part.start]))
+
+    def add(sums: _Sums) -> None:
+        nonlocal chi2, rows
+        for one in sums.stretches:
+            here = slice(one.first, one.first + len(one.rhs))
+            ab.add(one.first, one.ab)
+            border[here, sums.beside] += one.border
+            rhs[here] += one.rhs
+        corner[np.ix_(sums.beside, sums.beside)] += sums.corner
+        rhs_static[sums.beside] += sums.rhs_static
+        chi2 += sums.chi2
+        rows += sums.rows
+
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
     at_once = _at_once(pieces, grid, block, width)
     for begin in range(0, len(pieces), at_once):
         found = in_threads(lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + at_once])
-        while found:  # none is held while others are summed
-            sums = found.pop(0)
-            for one in sums.stretches:
-                here = slice(one.first, one.first + len(one.rhs))
-                ab.add(one.first, one.ab)
-                border[here, sums.beside] += one.border
-                rhs[here] += one.rhs
-            corner[np.ix_(sums.beside, sums.beside)] += sums.corner
-            rhs_static[sums.beside] += sums.rhs_static
-            chi2 += sums.chi2
-            rows += sums.rows
-            del sums, one
+        while found:  # none of them is held while the next are summed
+            add(found.pop(0))
         let_go()
     return NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, rows)
 
