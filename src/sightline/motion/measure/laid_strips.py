@@ -23,6 +23,7 @@ from sightline.imaging.source import ImageSource
 from sightline.imaging.warp import STRAIGHT, WarpedImage
 from sightline.motion.measure.predict import MovingCamera, ground_of_column
 from sightline.motion.measure.windows import WindowGrid
+from sightline.writing import scratch_array
 
 Array = NDArray[np.float64]
 
@@ -208,7 +209,7 @@ def line_places(camera: MovingCamera, surface: Surface) -> Array | None:
     if not isinstance(camera, PushbroomCamera) or camera.lines <= PLACE_MEAN:
         return None
     mean = np.hanning(PLACE_MEAN + 2)[1:-1]
-    out = np.empty((camera.lines, 2))
+    out = scratch_array((camera.lines, 2))
     for side, column in enumerate((0.0, camera.columns - 1.0)):
         steps = np.diff(ground_of_column(camera, surface, column), axis=0)
         known = np.isfinite(steps).all(axis=1)
