@@ -32,8 +32,9 @@ WINDOW, FEWEST = (32, 100), 10
 #: Windows that are tried at most: evenly spread; where there are fewer than so many, rows of them overlap by
 #: half: a short strip with a long lag has fewer than FEWEST on both images.
 MOST, FULL = 400, 40
-#: Share of the windows on both images that match where bands belong together.
-ENOUGH = 0.5
+#: Share of the windows on both images that match where bands belong together, and by how much it must exceed
+#: that of bands as they are given: of FEWEST windows shares scatter by up to .16.
+ENOUGH, BETTER = 0.5, 0.2
 #: Lags up to so many times the one given are tried, or so many lines, by so many windows, in steps of so many
 #: px each way.
 FARTHEST, LEAST_FARTHEST, FEW, SCAN = 2.5, 1000.0, 50, 32
@@ -165,7 +166,7 @@ def alternative(
     """
     pair = _Pair.of(hub, partner, surface, search_px)
     given, _ = pair.found(pair.there)
-    best, words = max(given, ENOUGH), ""
+    best, words = max(given + BETTER, ENOUGH), ""
     for image, predicted, stretch, said in _tried(pair, either):
         share, _ = pair.found(predicted, image, stretch)
         if share > best:
