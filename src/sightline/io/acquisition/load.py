@@ -116,7 +116,7 @@ def acquisition_of_size(path: Path, sizes: Mapping[str, tuple[int, int]]) -> Acq
 
     Raises
     ------
-    FormatError, SpanError, GeometryError
+    InputError, FormatError, SpanError, GeometryError
         As `load_acquisition`.
     """
     return _loaded(path, look=False, sizes=sizes)
