@@ -6,7 +6,11 @@ The bound of one line against the same line of another image is the coherence fo
 ``J = N integral of (2 pi f)^2 c / (1 - c)``, c from the scene's own law (contrast, MTF, noise, coherence).
 Over all lines and four images, with the true spectrum of the motion as prior, the error that remains is
 ``1 / (1 / S + J)``, integrated over frequency from one period per strip on; without ends, and without what
-free offsets hide, so that a real strip cannot do better. Seeds add the errors of recovered strips.
+free offsets hide, so that a real strip cannot do better.
+
+Seeds add the errors of recovered strips, by windows of four lines, which are usual, and of two (`[matching]
+window`, `step`). Before that: by how much pairs are worse than all images against one texture that is
+estimated with the motion.
 """
 
 from __future__ import annotations
@@ -40,13 +44,13 @@ MOTION = Spectrum(
 )
 
 
-def spectra() -> tuple[Array, Array, Array, Array]:
-    """Frequencies along and across (cycle/px), power of the texture at them, and of the noise of a pixel."""
+def spectra() -> tuple[Array, Array, Array, float]:
+    """Frequencies along and across (cycle/px), power of the texture at them, and of the noise at all."""
     options = line_of_sight_case("nominal", 0, lines=64, columns=64).options
     law = TextureLaw(options.contrast, (1.0, 1.0), options.mtf_nyquist)
     f = np.linspace(-0.5, 0.5, STEPS)
     fx, fy = np.meshgrid(f, f)
-    return fy, fx, law.psd(fx, fy), np.full(fx.shape, options.snr**-2.0)
+    return fy, fx, law.psd(fx, fy), options.snr**-2.0
 
 
 def gain_of_one_texture(images: int) -> float:

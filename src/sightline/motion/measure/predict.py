@@ -37,7 +37,7 @@ ANGLE_STEP = 5e-7
 HEIGHT_STEP = 10.0
 #: Lines of an image up to which turned cameras are kept (100 bytes a line and turn).
 KEPT_LINES = 8192
-#: Lines that are located at a time.
+#: Lines that are located, and windows of which it is asked how they move, at a time.
 AT_ONCE = 16384
 
 #: Turned cameras by camera and angles.

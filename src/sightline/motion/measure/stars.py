@@ -454,7 +454,7 @@ def _measured(
     pooled = finer or strips.finest is not None or tdi or plan.weighting != "covariance"
     unlike = finer or strips.uneven or strips.finest is not None
     shares = None
-    if strips.uneven and not (finer and not strips.searched):
+    if strips.uneven and not finer:
 
         def laid_by(other: Sequence[MovingCamera]) -> Matches:
             return matched(laid_on(strips.images, other, strips.surface, hub, partner.image))

@@ -21,7 +21,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.matching.matches import Matches
 from sightline.motion.measure.aliasing import RESPONSE_STEP
-from sightline.motion.measure.predict import MovingCamera, ground_of_column, turned
+from sightline.motion.measure.predict import AT_ONCE, MovingCamera, ground_of_column, turned
 from sightline.writing import let_go
 
 Array = NDArray[np.float64]
@@ -34,8 +34,6 @@ UNEVEN = 0.1
 FARTHEST, LEAST = 0.5, 0.3
 #: Angles that may move lines: roll and pitch.
 TURNS = 2
-#: Windows whose answers are found at a time.
-AT_ONCE = 16384
 
 
 def uneven(camera: MovingCamera, surface: Surface) -> bool:
