@@ -82,7 +82,7 @@ from sightline.motion.strip.shape import (
     windows_over_bends,
     with_shapes,
 )
-from sightline.motion.strip.strip import RecoverOptions, Shapes, Strip, prepared, suited
+from sightline.motion.strip.strip import RecoverOptions, Shapes, Strip, finer_rows, prepared, suited
 from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
     turned_band,
@@ -149,7 +149,7 @@ class _Passed:
     """What is known after a pass.
 
     `changes` are by how much each pass so far changed the motion, `left` by how much a given spectrum did;
-    `shapes` are those that were found of detector lines.
+    `shapes` are those that were found of detector lines, `options` what the windows were matched by.
     """
 
     name: str
@@ -157,6 +157,7 @@ class _Passed:
     changes: tuple[float, ...] = ()
     left: float = 0.0
     shapes: Shapes = ()
+    options: RecoverOptions | None = None
 
 
 @makes_result
@@ -298,25 +299,29 @@ def joint_line_of_sight(
     if passed is None:
         passed = _kept(stages, names, _begun(draft, options, height_sigma, tell, names[0]))
     strip, draft = with_shapes(strip, passed.shapes), with_shapes(draft, passed.shapes)
-    options = windows_over_bends(options, strip.bands)
+    options = passed.options or windows_over_bends(options, strip.bands)
     while len(passed.changes) < options.passes:
         # the first of the changes has no spectrum of its own yet
         if len(passed.changes) > 1 and passed.changes[-1] < tolerance:
             break
         number, state = len(passed.changes), _light(passed.state)
         passed = replace(passed, state=state)
+        if number and not draft.draft:
+            options = finer_rows(options, strip.bands, [record.star for record in state.records])
         step = steps_of(tell, f"pass {number + 1} of at most {options.passes}: matching")
         refined = _compensated_pass(draft, state, number, options, height_sigma, tell, step)
         changes = (*passed.changes, _change(draft, state, refined))
         # without its factors, which lie in memory and on disk as long as it does
         refined = replace(refined, estimate=replace(refined.estimate))
-        passed = _kept(stages, names, replace(passed, name=names[number + 1], state=refined, changes=changes))
+        passed = replace(passed, name=names[number + 1], state=refined, changes=changes, options=options)
+        passed = _kept(stages, names, passed)
         del refined  # the next pass holds the windows of this one but for what is heavy of them
     if wide and passed.name not in (_WHOLE, _GIVEN):
         step = steps_of(tell, "last pass: matching over the whole field")
         passed = replace(passed, state=_light(passed.state))
+        options = finer_rows(options, strip.bands, [record.star for record in passed.state.records])
         state = _compensated_pass(strip, passed.state, options.passes, options, height_sigma, tell, step)
-        passed = _kept(stages, names, replace(passed, name=_WHOLE, state=state))
+        passed = _kept(stages, names, replace(passed, name=_WHOLE, state=state, options=options))
     if strip.known.spectra is not None and passed.name != _GIVEN:
         step = steps_of(tell, "last pass: under the given spectrum")
         found = passed.state

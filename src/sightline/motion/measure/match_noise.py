@@ -9,6 +9,7 @@ Not here: the matcher's own covariance of a single match (``matching/``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -132,13 +133,13 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     total = plain = covariance(0)
     if counted < PLENTY:
         total = (counted * total + START_COUNTS * start) / (counted + START_COUNTS)
-        long, chance = _long_run(plain, covariance, len(v), len(v))
+        long, chance = _long_run(plain, covariance, len(v), len(v), _overlapping(star))
         grown = np.sqrt(_believed_ratio(long, plain, chance))
         total = total * np.outer(grown, grown)
         # of pairs that are not seen in the same windows: no covariance of anything, it may be
         return _definite(total, np.sqrt(np.diag(total)))
     scale = np.sqrt(np.diag(plain))
-    total = _steadied(plain, *_long_run(plain, covariance, len(v), counted))
+    total = _steadied(plain, *_long_run(plain, covariance, len(v), counted, _overlapping(star)))
     beside = np.tile(np.sqrt(_error_beside(v)), pairs)
     total = total * np.outer(beside, beside)
     scale = scale * beside
@@ -146,10 +147,19 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     return _definite(total, scale)
 
 
+def _overlapping(star: Star) -> int:
+    """Later rows with which the windows of a row share lines."""
+    starts = star.t_hub.reshape(star.shape)[:, 0]
+    apart = float(np.median(np.diff(starts))) if len(starts) > 1 else 0.0
+    return min(max(math.ceil(star.duration / apart - 1e-6) - 1, 0), ROW_LAGS) if apart > 0.0 else 0
+
+
 def _long_run(
-    plain: Array, covariance: Callable[[int], Array], rows: int, independent: float
+    plain: Array, covariance: Callable[[int], Array], rows: int, independent: float, overlapping: int
 ) -> tuple[Array, float]:
     """Covariance (2K, 2K) of long means of rows by Bartlett's weights, and its scatter by chance as a share.
+
+    Rows that share pixels certainly err alike: these count in full.
 
     Parameters
     ----------
@@ -160,10 +170,13 @@ def _long_run(
     rows : int
     independent : float
         How many values of each component the sums are of.
+    overlapping : int
+        Later rows with which a row shares pixels.
     """
     lags, total = min(ROW_LAGS, rows - 1), plain
     for shift in range(1, lags + 1):
-        step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
+        apart = max(shift - overlapping, 0)
+        step = covariance(shift) * (1.0 - apart / (ROW_LAGS + 1.0 - overlapping))
         total = total + step + step.T
     return total, float(np.sqrt(4.0 / 3.0 * (lags + 1.0) / independent))
 

@@ -22,6 +22,7 @@ from sightline.motion.band import Band
 from sightline.motion.measure.bright_layer import MIN_BLOCKS
 from sightline.motion.measure.common_view import Views, common_views
 from sightline.motion.measure.laid_strips import MOST_UNLIKE, UNLIKE, pixel_sizes
+from sightline.motion.measure.observations import Star
 from sightline.motion.measure.plan import (
     LEAST_WINDOW,
     ROWS_IN_LAG,
@@ -56,6 +57,10 @@ MOST_NODES = 300
 ROW_BLOCKS, LEAST_COLUMNS = 6, 48
 #: s between rows of windows at most, where lines are faster: spacecraft vibrate at up to some 150 Hz.
 ROW_SECONDS = 3.2e-3
+#: Windows span so little time (s), and rows are so near, where a row holds so many windows at least and a
+#: match of usual ones errs by so little (px, 1-sigma): then vibrations stand above the noise that usual rows
+#: average away. Half a window errs by sqrt(2) of that, a noisy one by more.
+FINE_SECONDS, FINE_BLOCKS, FINE_SIGMA = 1e-3, 10, 0.05
 
 
 @dataclass(frozen=True)
@@ -276,6 +281,30 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
         step=step,
         grid_lines=usual.grid_lines * step / usual.step,
     )
+
+
+def finer_rows(options: RecoverOptions, bands: Sequence[Band], stars: Sequence[Star]) -> RecoverOptions:
+    """Options with windows, and rows, as near in time as matches as good as those of `stars` can serve.
+
+    Of usual windows of like bands alone: coarse lines and TDI average what nearer rows would see.
+    """
+    usual, periods = RecoverOptions(), [band.camera.detector.line_period for band in bands]
+    lines = max(round(FINE_SECONDS / min(periods)), LEAST_WINDOW)
+    if (
+        any(map(options.own, ("window", "step", "grid_lines")))
+        or lines >= usual.step
+        or max(periods) > UNLIKE * min(periods)
+        or max(band.camera.columns for band in bands) // usual.window[1] < FINE_BLOCKS
+        or any(band.camera.stages is not None for band in bands)
+    ):
+        return options
+    variances = [np.inf]
+    for star in stars:
+        claimed = star.covariance_px[..., [0, 1], [0, 1]] * np.diag(star.correlation).reshape(-1, 2)
+        variances.extend(claimed.mean(-1)[star.present])
+    if np.median(variances) > FINE_SIGMA**2:
+        return options
+    return replace(options, window=(lines, options.window[1]), step=lines)
 
 
 def window_columns(bands: Sequence[Band]) -> int:
