@@ -9,6 +9,7 @@ import os
 import pkgutil
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -125,6 +126,27 @@ def test_a_run_that_was_stopped_time_and_again_goes_on_to_the_same_bits(short, t
         monkeypatch.setattr(line_of_sight, "_begin", again)
     assert not (out / ".partial").exists()
     assert content(out) == content(whole)
+
+
+def test_a_run_that_was_stopped_after_its_last_pass_knows_its_windows(short, tmp_path, monkeypatch):
+    from sightline.applications import line_of_sight
+
+    def finer(options, bands, stars):
+        return replace(options, window=(2, options.window[1]), step=2)
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(line_of_sight, "finer_rows", finer)
+    command, out = ["recover", str(short / "acquisition.toml"), "--out"], tmp_path / "out"
+    assert run([*command, str(tmp_path / "whole")]) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(line_of_sight, "judged", stop)
+        assert run([*command, str(out)]) == 130
+    # nothing is left to decide by: what was matched is told by the stage
+    monkeypatch.setattr(line_of_sight, "finer_rows", stop)
+    assert run([*command, str(out), "--resume"]) == 0
+    assert content(out) == content(tmp_path / "whole")
 
 
 @pytest.mark.parametrize("other", ["options", "images"])

@@ -8,7 +8,7 @@ Over all lines and four images, with the true spectrum of the motion as prior, t
 ``1 / (1 / S + J)``, integrated over frequency from one period per strip on; without ends, and without what
 free offsets hide, so that a real strip cannot do better.
 
-Seeds add the errors of recovered strips, by windows of four lines, which are usual, and of two (`[matching]
+Seeds add the errors of recovered strips, by windows of four lines throughout, and of two (`[matching]
 window`, `step`). Before that: by how much pairs are worse than all images against one texture that is
 estimated with the motion.
 """
@@ -104,7 +104,7 @@ def main() -> None:
     print("| bound | " + " | ".join(f"{value:.4f}" for value in bound.values()) + " |")
     for seed, lines in itertools.product(parser.parse_args().seeds, (4, 2)):
         scenario = line_of_sight_case("nominal", seed)
-        options = RecoverOptions(window=(lines, 100), step=lines)
+        options = RecoverOptions(window=(lines, 100), step=lines, asked=("window", "step"))
         result = recover_line_of_sight(scenario.as_given(), Plane(0.0), options=options)
         name_of = f"seed {seed}, windows of {lines} lines"
         truth = scenario.truth

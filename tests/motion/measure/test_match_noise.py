@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from motion.strips import plain_star
+from motion.strips import PERIOD, plain_star
 from sightline.motion.measure.match_noise import (
     estimate_correlation,
     plain_variance,
@@ -115,6 +115,20 @@ class TestCorrelation:
         got = estimate_correlation(star, lasting)
         # twice the scatter of independent rows at the most, 0.04 (above) times 2; four of these
         assert_allclose(got, 2 * np.eye(2), atol=0.32)
+
+    @pytest.mark.parametrize(("lines", "variance"), [(4.0, 37 / 9), (20.0, 5.0)])
+    def test_rows_that_share_pixels_count_in_full(self, lines, variance):
+        rows, blocks = 3000, 16
+        star = plain_star(rows, blocks, 1, SIGMA, duration=lines * PERIOD)
+        fresh = SIGMA * np.random.default_rng(13).standard_normal((rows + 4, blocks, 1, 2))
+        lasting = sum(fresh[k : k + rows] for k in range(5)) / np.sqrt(5)
+        # means of five rows: correlation .8, .6, .4, .2 with the next; the mean of many has five times the
+        # variance. Windows of 20 lines, 4 apart, share pixels over just so many rows; where they share none,
+        # Bartlett's weights 8/9 ... 5/9 of what lasts make it 1 + 2 (.8 8 + .6 7 + .4 6 + .2 5) / 9.
+        # Sums of 42,000 squares and eight rows on either side, each of five alike rows, scatter by
+        # sqrt(34 / 42000) = 3 % of that; four of these
+        got = estimate_correlation(star, lasting.reshape(-1, 1, 2))
+        assert_allclose(np.diag(got), variance, atol=0.12 * variance)
 
     def test_errors_that_neighbouring_windows_share_count_as_the_mean_of_the_row_feels_them(self):
         star = plain_star(1500, 10, 1, SIGMA)

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motion.strips import IFOV, PERIOD, strip_cameras
+from motion.strips import IFOV, PERIOD, plain_star, strip_cameras
 from sightline.applications.expected_cost import strip_cost
 from sightline.errors import InputError
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
-from sightline.motion.strip.strip import RecoverOptions, prepared, suited
+from sightline.motion.strip.strip import RecoverOptions, finer_rows, prepared, suited
 
 SHAPE = (401, 220)
 # a sixth of the columns is less than the least width
@@ -156,3 +156,51 @@ def test_pixels_more_unlike_than_six_to_one_are_refused_by_name(ifov, period, wh
     ]
     with pytest.raises(InputError, match=what):
         prepared(bands, Plane(), RecoverOptions())
+
+
+def wide_bands(columns=1000, periods=(PERIOD, PERIOD), stages=None):
+    """Two bands that are not read, whose lines are so wide and so long."""
+    image = ArrayImage(np.zeros((40, columns)))
+    return [
+        Band(
+            f"band {k}", image, replace(camera, detector=replace(camera.detector, line_period=period), **tdi)
+        )
+        for k, (camera, period, tdi) in enumerate(
+            zip(strip_cameras((0.0, -83.0), 40, columns), periods, ({}, stages or {}), strict=True)
+        )
+    ]
+
+
+@pytest.mark.parametrize(("period", "lines"), [(0.7e-3, 2), (0.5e-3, 2), (0.35e-3, 3), (0.25e-3, 4)])
+def test_windows_of_wide_bands_whose_matches_are_good_span_a_millisecond(period, lines):
+    options, star = RecoverOptions(), plain_star(20, 10, 1, sigma=0.049)
+    found = finer_rows(options, wide_bands(periods=(period, period)), [star])
+    assert (found.window, found.step) == ((lines, 100), lines)
+    assert found.grid_lines == options.grid_lines
+
+
+@pytest.mark.parametrize(
+    ("bands", "options", "sigma"),
+    [
+        ({}, {}, 0.051),
+        ({"columns": 999}, {}, 0.01),
+        ({"periods": (PERIOD, 4 * PERIOD)}, {}, 0.01),
+        ({"stages": {"stages": 16}}, {}, 0.01),
+        ({}, {"asked": ("window",)}, 0.01),
+        ({}, {"step": 5}, 0.01),
+        ({}, {"grid_lines": 1.0}, 0.01),
+    ],
+)
+def test_other_windows_stay_as_they_are(bands, options, sigma):
+    asked = RecoverOptions(**options)
+    assert finer_rows(asked, wide_bands(**bands), [plain_star(20, 10, 1, sigma=sigma)]) is asked
+
+
+def test_without_a_match_nothing_is_known_of_windows():
+    star = plain_star(20, 10, 1, sigma=0.01)
+    gone = star.with_weight(np.zeros_like(star.weight))
+    options = RecoverOptions()
+    assert (
+        finer_rows(options, wide_bands(), [gone]) is options
+        and finer_rows(options, wide_bands(), []) is options
+    )
