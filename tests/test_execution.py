@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -409,3 +410,33 @@ def test_durations_and_sizes_are_in_the_unit_in_which_they_are_read():
         "1.24 GB",
         "1,180,591,621 TB",
     ]
+
+
+HEAPS = """
+import ctypes, threading
+from sightline.execution import one_heap
+
+one_heap()
+full = threading.Barrier(4)
+
+def some():
+    kept = [ctypes.create_string_buffer(5000) for _ in range(100)]
+    full.wait()
+
+threads = [threading.Thread(target=some) for _ in range(4)]
+[thread.start() for thread in threads], [thread.join() for thread in threads]
+ctypes.CDLL(None).malloc_stats()
+"""
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "malloc_stats"),
+    reason="glibc alone tells of its heaps",
+)
+@pytest.mark.parametrize(("asked", "one"), [({}, True), ({"MALLOC_ARENA_MAX": "4"}, False)])
+def test_threads_share_one_heap_unless_the_environment_asks_for_more(asked, one):
+    plain = {name: value for name, value in os.environ.items() if name != "MALLOC_ARENA_MAX"}
+    done = subprocess.run(
+        [sys.executable, "-c", HEAPS], env=plain | asked, capture_output=True, text=True, check=True
+    )
+    assert (done.stderr.count("Arena ") == 1) == one

@@ -51,7 +51,7 @@ from sightline.cli.statuses import (
 )
 from sightline.cli.terminal import complain, warnings_as_messages
 from sightline.errors import InputError
-from sightline.execution import BLAS_THREADS, threads_limited
+from sightline.execution import BLAS_THREADS, one_heap, threads_limited
 from sightline.output.folder import Interrupted, published
 from sightline.writing import creation_date
 
@@ -126,6 +126,7 @@ def main(arguments: list[str] | None = None) -> None:
     # before numpy is loaded; why: docs/decisions/0006-one-thread-for-linear-algebra.md
     for variable in BLAS_THREADS:
         os.environ.setdefault(variable, "1")
+    one_heap()
     sys.exit(run([word for word in words if word != "--debug"], debug=debug))
 
 
