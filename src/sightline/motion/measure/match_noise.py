@@ -175,8 +175,8 @@ def _long_run(
     """
     lags, total = min(ROW_LAGS, rows - 1), plain
     for shift in range(1, lags + 1):
-        apart = max(shift - overlapping, 0)
-        step = covariance(shift) * (1.0 - apart / (ROW_LAGS + 1.0 - overlapping))
+        weight = 1.0 if shift <= overlapping else 1.0 - shift / (ROW_LAGS + 1.0)
+        step = covariance(shift) * weight
         total = total + step + step.T
     return total, float(np.sqrt(4.0 / 3.0 * (lags + 1.0) / independent))
 
