@@ -29,6 +29,12 @@ from sightline.io.formats.tables import read_motion
 from sightline.simulate.instrument_files import write_instrument
 from sightline.simulate.instruments import INSTRUMENT_CASES, instrument_case
 
+MEASURES = (
+    "sightline.applications.line_of_sight",
+    "sightline.applications.frame_attitude",
+    "sightline.applications.spin_attitude",
+)
+
 
 def off_nadir_angles(case: str) -> tuple[float, ...]:
     """Degrees in the middle of the strip; from geostationary height the last lines look past the limb."""
