@@ -37,19 +37,28 @@ def row_motion(star: Star, seed: int, size: float = 1.0) -> np.ndarray:
     return (shift + tilt * star.field.reshape(rows, blocks, 1, 1)).reshape(*star.t.shape, 2)
 
 
+def uneven(star: Star, times: float) -> Star:
+    """The star with sigmas that are so many times as large in the right half of its rows."""
+    rows, blocks = star.shape
+    size = np.tile(np.where(np.arange(blocks) < blocks // 2, 1.0, times), rows)
+    return replace(star, covariance_px=star.covariance_px * size[:, None, None, None] ** 2)
+
+
 class TestScatter:
     def test_shift_and_tilt_of_a_row_leave_no_scatter(self):
         star = plain_star(30, 7, 2, SIGMA)
-        z, degrees = scatter(star, row_motion(star, 0))
-        assert np.abs(z).max() < 1e-9
-        assert_allclose(degrees, 5.0)
+        found = scatter(star, row_motion(star, 0))
+        assert np.abs(found.z).max() < 1e-9
+        assert_allclose(found.degrees, 5.0)
+        assert_allclose(found.counts, 1.0)
 
     def test_what_is_left_is_that_of_a_line_fitted_to_the_windows_that_are_there(self):
         star = plain_star(12, 9, 2, SIGMA)
         residual = drawn(star, 1)
         residual[3::8, 0] = np.nan
         star = replace(star, residual_px=residual)
-        z, degrees = scatter(star, residual + row_motion(star, 2))
+        found = scatter(star, residual + row_motion(star, 2))
+        z, degrees = found.z, found.degrees
         x, table = star.field[:9], residual.reshape(12, 9, 4) / SIGMA
         for row in range(12):
             for c in range(4):
@@ -58,7 +67,7 @@ class TestScatter:
                 left = y[there] - np.polyval(np.polyfit(x[there], y[there], 1), x[there])
                 assert_allclose(z[row, there, c], left, atol=1e-9)
                 assert np.isnan(z[row, ~there, c]).all()
-                assert degrees[row, c] == there.sum() - 2
+                assert degrees[row, c] == pytest.approx(there.sum() - 2)
 
     def test_matches_without_weight_are_absent(self):
         star = plain_star(10, 6, 1, SIGMA)
@@ -66,14 +75,30 @@ class TestScatter:
         weight[::6] = 0.0
         post = drawn(star, 3)
         post[::6] = 1e3
-        z, degrees = scatter(star.with_weight(weight), post)
+        found = scatter(star.with_weight(weight), post)
+        z, degrees = found.z, found.degrees
         assert np.isnan(z[:, 0]).all() and np.abs(z[:, 1:]).max() < 5.0
         assert_allclose(degrees, 3.0)
 
+    def test_a_shift_of_windows_of_unlike_sigmas_leaves_no_scatter(self):
+        star = uneven(plain_star(30, 8, 2, SIGMA), 5.0)
+        found = scatter(star, row_motion(star, 13))
+        assert np.abs(found.z).max() < 1e-9
+        assert_allclose(found.degrees, 6.0)
+        # four windows tell 25 times what the other four do, 8 in all
+        assert_allclose(found.counts[0, :, 0], np.repeat([8 * 25, 8], 4) / (4 * 26))
+
+    def test_the_share_that_a_line_leaves_is_that_of_drawn_errors(self):
+        star = uneven(plain_star(6000, 8, 1, SIGMA), 5.0)
+        found = scatter(star, np.sqrt(star.covariance_px[..., 0, 0])[..., None] / SIGMA * drawn(star, 14))
+        # squares of 12,000 normal values scatter by sqrt(2 / 12000) = 1.3 %; five of these
+        squares = (found.z**2).mean(axis=(0, 2))
+        assert_allclose(squares, found.freedom.mean(axis=(0, 2)), rtol=0.065)
+
     def test_rows_of_too_few_windows_say_nothing(self):
         star = plain_star(10, 3, 1, SIGMA)
-        z, degrees = scatter(star, drawn(star, 4))
-        assert np.isnan(z).all() and not degrees.any()
+        found = scatter(star, drawn(star, 4))
+        assert np.isnan(found.z).all() and not found.degrees.any()
 
 
 def test_errors_are_the_same_however_many_windows_are_worked_on_at_a_time(monkeypatch):
@@ -84,7 +109,7 @@ def test_errors_are_the_same_however_many_windows_are_worked_on_at_a_time(monkey
 
     def found():
         noise = (estimate_correlation, row_weights, robust_weights)
-        return [scatter(star, post)[0], *(function(star, post) for function in noise)]
+        return [scatter(star, post).z, *(function(star, post) for function in noise)]
 
     whole = found()
     monkeypatch.setattr("sightline.motion.measure.windows._AT_ONCE", 100)
@@ -105,6 +130,17 @@ class TestCorrelation:
         # on either side that are added by 2 / sqrt(n): below sqrt(2 + 8 * 4) / sqrt(n) = 0.04; four of these
         assert_allclose(got, self.TRUE, atol=0.16)
         assert_allclose(got, got.T)
+
+    @pytest.mark.parametrize("wrong", [0.5, 2.0])
+    def test_noisy_windows_whose_sigma_is_wrong_do_not_make_that_of_good_ones_wrong(self, wrong):
+        # the right half: ten times the sigma, by which the matcher is wrong
+        star = uneven(plain_star(1500, 16, 1, SIGMA), 10.0)
+        right = np.tile(np.arange(16) >= 8, 1500)
+        post = drawn(star, 15) * np.where(right, 10.0 * wrong, 1.0)[:, None, None]
+        got = estimate_correlation(star, post)
+        # the right half has 1 % of what rows tell, and an error of 2 to 4 in 1 % of the sum; chance as above
+        # (0.04) times sqrt 2 for half the windows, four of these
+        assert_allclose(got, np.eye(2), atol=0.26)
 
     def test_errors_that_last_from_row_to_row_count_with_all_their_sum(self):
         star = plain_star(1500, 16, 1, SIGMA)

@@ -11,12 +11,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.robust import robust_sigmas
-from sightline.motion.measure.observations import Star, scale_residuals, shared_image_correlation
+from sightline.motion.measure.observations import (
+    Star,
+    scale_residuals,
+    scaled_pixel,
+    shared_image_correlation,
+)
 from sightline.motion.measure.windows import stretches
 from sightline.writing import let_go, scratch_array
 
@@ -50,51 +56,78 @@ SUMMED = 65536
 LEAST_SHARE = 0.05
 
 
-def scatter(star: Star, post_px: Array, least: int = MIN_BLOCKS) -> tuple[Array, Array]:
-    """Scaled and weighted residuals of each row with its shift and tilt removed.
+@dataclass(frozen=True)
+class RowScatter:
+    """Residuals of the windows of a star about what the motion can make of their rows.
 
-    Parameters
+    Attributes
     ----------
-    star : Star
-    post_px : (G, K, 2)
-        Residuals after the estimate, px.
-    least : int
-        Windows that a row must hold.
-
-    Returns
-    -------
     z : (rows, blocks, 2K)
-        NaN where absent, or where the row holds too few windows.
-    degrees : (rows, 2K)
-        Degrees of freedom left in the row.
+        In units of each match's sigma, its weight included; NaN where absent, or where the row holds too few.
+    freedom : (rows, blocks, 2K)
+        Share of each value's variance that the line of its row leaves; 0 where absent.
+    counts : (rows, blocks, 2K)
+        What each match tells of the motion of its row, over the mean of the row; 0 where absent.
+    """
+
+    z: Array
+    freedom: Array
+    counts: Array
+
+    @property
+    def degrees(self) -> Array:
+        """(rows, 2K) degrees of freedom left in each row."""
+        return self.freedom.sum(axis=1)
+
+    @property
+    def independent(self) -> float:
+        """Degrees of freedom of one weight that would tell as much as all do by their counts."""
+        told = [(self.counts[here] * self.freedom[here], self.counts[here]) for here in _rows(self.z)]
+        return float(sum(t.sum() for t, _ in told) ** 2 / max(sum((t * c).sum() for t, c in told), 1e-30))
+
+
+def scatter(star: Star, post_px: Array, least: int = MIN_BLOCKS) -> RowScatter:
+    """Residuals (G, K, 2) px after an estimate, less shift and tilt of each row of `least` windows or more.
+
+    Notes
+    -----
+    A shift moves all windows of a row by as many pixels, not by as many of their sigmas: where these differ,
+    what is left is that of a weighted line.
     """
     rows, blocks = star.shape
     pairs = star.t.shape[1]
-    z, degrees, present = scratch_array((rows, blocks, 2 * pairs)), np.zeros((rows, 2 * pairs)), star.present
+    z, freedom, counts = (scratch_array((rows, blocks, 2 * pairs)) for _ in range(3))
+    present = star.present
     for some in star.stretches():
         here = slice(some.start // blocks, some.stop // blocks)
-        scaled = scale_residuals(post_px[some], star.covariance_px[some])
-        scaled = (scaled * np.sqrt(np.repeat(star.weight[some], 2, axis=1))).reshape(-1, blocks, 2 * pairs)
+        weight = np.sqrt(np.repeat(star.weight[some], 2, axis=1))
+        scaled = scale_residuals(post_px[some], star.covariance_px[some]) * weight
+        per_px = scaled_pixel(star.covariance_px[some]) * weight
+        scaled, per_px = (each.reshape(-1, blocks, 2 * pairs) for each in (scaled, per_px))
         seen = np.repeat(present[some].reshape(-1, blocks, pairs), 2, axis=2) & np.isfinite(scaled)
         field = star.field[some].reshape(-1, blocks)[:, :, None]
-        z[here], degrees[here] = _about_lines(scaled, seen, field, least)
+        z[here], freedom[here], counts[here] = _about_lines(scaled, per_px, seen, field, least)
         let_go()
-    return z, degrees
+    return RowScatter(z, freedom, counts)
 
 
-def _about_lines(z: Array, seen: NDArray[np.bool_], x: Array, least: int) -> tuple[Array, Array]:
-    """Residuals (rows, blocks, 2K) less the line of their row over the places `x`, and degrees of freedom."""
-    w = seen.astype(float)
-    v = np.where(w > 0, z, 0.0)
-    s0, s1, s2 = w.sum(1), (w * x).sum(1), (w * x * x).sum(1)
-    y0, y1 = v.sum(1), (v * x).sum(1)
+def _about_lines(
+    z: Array, per_px: Array, seen: NDArray[np.bool_], x: Array, least: int
+) -> tuple[Array, Array, Array]:
+    """`RowScatter` of scaled residuals (rows, blocks, 2K) at places `x`, whose units are 1 / `per_px`."""
+    w, v = np.where(seen, per_px, 0.0), np.where(seen, z, 0.0)
+    number = seen.sum(axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # the mean square of a row is 1: the determinant tells whether its windows lie apart
+        w = w / np.sqrt((w**2).sum(axis=1, keepdims=True) / number)
+        s0, s1, s2 = (np.asarray((w * w * x**n).sum(axis=1, keepdims=True)) for n in range(3))
+        y0, y1 = ((w * v * x**n).sum(axis=1, keepdims=True) for n in range(2))
         det = s0 * s2 - s1 * s1
-        slope = (s0 * y1 - s1 * y0) / det
-        mean = (y0 - slope * s1) / s0
-    degrees = np.where((s0 >= least) & (det > 1e-9), s0 - 2.0, 0.0)
-    left = z - mean[:, None, :] - slope[:, None, :] * x
-    return np.where((w > 0) & (degrees[:, None, :] > 0), left, np.nan), degrees
+        slope, mean = (s0 * y1 - s1 * y0) / det, (s2 * y0 - s1 * y1) / det
+        left = z - w * (mean + slope * x)
+        freedom = 1.0 - w * w * (s2 - 2.0 * s1 * x + s0 * x * x) / det
+    there = seen & (number >= least) & (det > 1e-9)
+    return np.where(there, left, np.nan), np.where(there, freedom, 0.0), np.where(there, w * w, 0.0)
 
 
 def estimate_correlation(star: Star, post_px: Array) -> Array:
@@ -105,27 +138,27 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     """
     pairs = star.t.shape[1]
     start = shared_image_correlation(pairs)
-    z, degrees = scatter(star, post_px, least_blocks(star))
-    counted = float(degrees.sum()) / (2 * pairs)
-    finite = [np.isfinite(z[here]).any(axis=(0, 1)) for here in _rows(z)]
-    if counted < fewest_degrees(star) or not np.any(finite, axis=0).all():
+    found = scatter(star, post_px, least_blocks(star))
+    counted = found.independent / (2 * pairs)
+    if counted < fewest_degrees(star) or not found.freedom.any(axis=(0, 1)).all():
         return start
-    v, known = scratch_array(z.shape), scratch_array(z.shape, bool)
-    for here in _rows(z):
-        clipped = np.clip(z[here], -CLIP, CLIP)
-        known[here] = np.isfinite(clipped)
-        # a row of n windows keeps n - 2 of its n squares
-        count = known[here].astype(float).sum(1)
-        share = np.sqrt(np.where(degrees[here] > 0, count / np.maximum(degrees[here], 1.0), 0.0))
-        v[here] = np.where(known[here], clipped, 0.0) * share[:, None, :]
+    # what rows err by is what their good matches err by: of noisy ones, which count for little in the motion,
+    # the matcher's sigma may be wrong by another factor
+    v, root = found.z, found.freedom
+    for here in _rows(v):
+        v[here] = np.nan_to_num(np.clip(v[here], -CLIP, CLIP))
+        let_go()
+    beside = np.tile(np.sqrt(_error_beside(v)), pairs)
+    for here in _rows(v):
+        size = np.sqrt(found.counts[here])
+        v[here], root[here] = v[here] * size, np.sqrt(root[here]) * size
         let_go()
 
     def covariance(shift: int) -> Array:
         total, both = np.zeros((2 * pairs, 2 * pairs)), np.zeros((2 * pairs, 2 * pairs))
         for here in _rows(v[shift:], SUMMED):
             later = slice(here.start + shift, here.stop + shift)
-            seen = known[here].astype(float), known[later].astype(float)
-            both += np.einsum("rbi,rbj->ij", *seen)
+            both += np.einsum("rbi,rbj->ij", root[here], root[later])
             total += np.einsum("rbi,rbj->ij", v[here], v[later])
             let_go()
         return np.asarray(total / np.maximum(both, 1.0))
@@ -140,7 +173,6 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
         return _definite(total, np.sqrt(np.diag(total)))
     scale = np.sqrt(np.diag(plain))
     total = _steadied(plain, *_long_run(plain, covariance, len(v), counted, _overlapping(star)))
-    beside = np.tile(np.sqrt(_error_beside(v)), pairs)
     total = total * np.outer(beside, beside)
     scale = scale * beside
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
@@ -218,8 +250,7 @@ def lasts(star: Star, post_px: Array) -> bool:
     rows, blocks = star.shape
     if blocks < LEAST_BESIDE or rows < LEAST_BESIDE * (ROW_LAGS + 1):
         return False
-    z, _ = scatter(star, post_px)
-    z = np.clip(z, -CLIP, CLIP)
+    z = np.clip(scatter(star, post_px).z, -CLIP, CLIP)
     products = [z[: rows - shift] * z[shift:] for shift in range(1, ROW_LAGS + 1)]
     number = sum(int(np.isfinite(p).sum()) for p in products)
     if not number:
@@ -252,9 +283,9 @@ def plain_variance(star: Star, post_px: Array) -> Array:
 
     Ones where the rows hold too few windows; among few, one counts as START_COUNTS of them.
     """
-    z, degrees = scatter(star, post_px, least_blocks(star))
-    counted = degrees.sum(axis=0)
-    squares = np.nansum(np.clip(z, -CLIP, CLIP) ** 2, axis=(0, 1))
+    found = scatter(star, post_px, least_blocks(star))
+    counted = found.degrees.sum(axis=0)
+    squares = np.nansum(np.clip(found.z, -CLIP, CLIP) ** 2, axis=(0, 1))
     given = np.where(counted < PLENTY, START_COUNTS, 0.0)
     enough = counted >= fewest_degrees(star)
     return np.where(enough, (squares + given) / np.maximum(counted + given, 1.0), 1.0)
@@ -310,7 +341,8 @@ def row_weights(star: Star, post_px: Array) -> Array:
     """
     rows, blocks = star.shape
     pairs = star.t.shape[1]
-    z, degrees = scatter(star, post_px)
+    found = scatter(star, post_px)
+    z, degrees = found.z, found.degrees
     out = np.ones((rows, pairs))
     kernel = np.ones(2 * ROW_REACH + 1)
     inner = slice(ROW_REACH, ROW_REACH + rows)

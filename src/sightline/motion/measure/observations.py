@@ -187,14 +187,23 @@ class Star:
 
 def scale_residuals(residual_px: Array, covariance_px: Array) -> Array:
     """Residuals divided by the Cholesky factor of their covariance: (G, 2K)."""
-    g, k = residual_px.shape[:2]
-    c11, c21, c22 = covariance_px[..., 0, 0], covariance_px[..., 1, 0], covariance_px[..., 1, 1]
-    l11 = np.sqrt(c11)
-    l21 = c21 / l11
-    l22 = np.sqrt(np.maximum(c22 - l21**2, 1e-30))
+    l11, l21, l22 = _factor(covariance_px)
     first = residual_px[..., 0] / l11
     second = (residual_px[..., 1] - l21 * first) / l22
-    return np.stack([first, second], axis=-1).reshape(g, 2 * k)
+    return np.stack([first, second], axis=-1).reshape(len(residual_px), -1)
+
+
+def scaled_pixel(covariance_px: Array) -> Array:
+    """What a pixel along an axis alone is of the scaled residual of that axis, 1/px: (G, 2K)."""
+    l11, _, l22 = _factor(covariance_px)
+    return (1.0 / np.stack([l11, l22], axis=-1)).reshape(len(covariance_px), -1)
+
+
+def _factor(covariance_px: Array) -> tuple[Array, Array, Array]:
+    """Lower Cholesky factor of covariances (..., 2, 2): first column, then what is left."""
+    l11 = np.sqrt(covariance_px[..., 0, 0])
+    l21 = covariance_px[..., 1, 0] / l11
+    return l11, l21, np.sqrt(np.maximum(covariance_px[..., 1, 1] - l21**2, 1e-30))
 
 
 def shared_image_correlation(pairs: int) -> Array:

@@ -186,7 +186,7 @@ def row_scatter(stars: Sequence[Star], post_px: Sequence[Array]) -> tuple[float,
     """
     excess, weight, variance, unlike = 0.0, 0.0, 0.0, 0.0
     for star, post in zip(stars, post_px, strict=True):
-        z, _ = scatter(star, post)
+        z = scatter(star, post).z
         rows, pairs = star.shape[0], star.t.shape[1]
         left = z.reshape(-1, pairs, 2)
         sigma_px = np.sqrt(star.covariance_px[..., [0, 1], [0, 1]])
