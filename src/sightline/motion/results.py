@@ -294,7 +294,7 @@ def _pair(record: StarRecord, before: Array, after: Array, k: int, images: tuple
         let_go()
         return found
 
-    expected = star.covariance_px[kept, k][:, [0, 1], [0, 1]] * np.diag(star.correlation)[2 * k : 2 * k + 2]
+    expected = star.error_variance(kept)[:, k]
     let_go()
     return PairResiduals(
         images=images,

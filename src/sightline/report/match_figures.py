@@ -170,10 +170,9 @@ def _all_residuals(result: LineOfSight) -> tuple[Array, Array, Array]:
     sides = zip(result.records, present, result.before_px, result.after_px, strict=True)
     for record, kept, before, after in sides:
         star = record.star
-        inflation = np.sqrt(np.diag(star.correlation)).reshape(1, -1, 2)
         for some in star.stretches():
             here = kept[some]
-            sigma = np.sqrt(np.einsum("gkii->gki", star.covariance_px[some])) * inflation
+            sigma = np.sqrt(star.error_variance(some))
             values = np.stack([side[here].ravel() for side in (before[some], after[some], sigma)])
             values = values[:, np.isfinite(values[:2]).all(axis=0)]
             out[:, filled : filled + values.shape[1]] = values

@@ -180,6 +180,11 @@ class Star:
         """The same star with other robust weights, (G, K)."""
         return replace(self, weight=weight)
 
+    def error_variance(self, some: slice | NDArray[np.bool_]) -> Array:
+        """(some, K, 2) px^2; what matches err by along lines and columns, as their scatter shows it."""
+        own = self.covariance_px[some][..., [0, 1], [0, 1]]
+        return np.asarray(own * np.diag(self.correlation).reshape(-1, 2))
+
     def scaled(self) -> Array:
         """Residuals in units of each match's own sigma: (G, 2K), NaN where absent."""
         return scale_residuals(self.residual_px, self.covariance_px)

@@ -300,8 +300,7 @@ def finer_rows(options: RecoverOptions, bands: Sequence[Band], stars: Sequence[S
         return options
     variances = [np.inf]
     for star in stars:
-        claimed = star.covariance_px[..., [0, 1], [0, 1]] * np.diag(star.correlation).reshape(-1, 2)
-        variances.extend(claimed.mean(-1)[star.present])
+        variances.extend(star.error_variance(slice(None)).mean(-1)[star.present])
     if np.median(variances) > FINE_SIGMA**2:
         return options
     return replace(options, window=(lines, options.window[1]), step=lines)
