@@ -47,8 +47,10 @@ CORNER_BELIEF = 0.7
 #: frequency is not known better.
 NARROWEST = 0.1
 #: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
-#: parameter, thrice: there are three steps to take).
-SMOOTHER = 6.0
+#: parameter, thrice: there are three steps to take), and by what noise gains whose spectrum is even only to
+#: such a share, the square of it for each measurement: rows that share a few pixels have less of it at high
+#: frequencies, and a smoother part would stand for that.
+SMOOTHER, EVEN = 6.0, 0.1
 #: Steps after which that must show.
 SMOOTHER_STEPS = 6
 #: Lowest frequency of a tone, in units of one over the length of the data.
@@ -591,14 +593,15 @@ class Search:
         Notes
         -----
         A spectrum that falls too slowly above its corner holds jitter that is not there: the posterior sigma
-        is too large, and noise is taken for motion. An order must earn `SMOOTHER`, so that noise alone does
-        not choose.
+        is too large, and noise is taken for motion. An order must earn `SMOOTHER` and what `EVEN` allows, so
+        that noise alone does not choose: a spectrum that falls too fast is certain of what it does not know.
         """
+        price = SMOOTHER + EVEN**2 * self._equations.measurements
         for order in ORDERS[ORDERS.index(model.broadband.order) + 1 :]:
             part = model.broadband
             smoother = replace(model, broadband=Matern(part.sigma, part.timescale, order))
             smoother = self.improve(smoother, SMOOTHER_STEPS, ROUGHLY)
-            if self.deviance(smoother) > self.deviance(model) - SMOOTHER:
+            if self.deviance(smoother) > self.deviance(model) - price:
                 break
             model = self.improve(smoother, 25, ROUGHLY)
         return model
