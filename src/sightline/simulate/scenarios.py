@@ -287,7 +287,7 @@ def line_of_sight_case(
         _reference(options),
         motion,
         body,
-        _draw_scene(options, streams, data),
+        _draw_scene(options, seed, data),
         Radiometry(snr=options.snr),
     )
 
@@ -453,17 +453,15 @@ def _stretches(options: StripOptions, lines: tuple[tuple[int, int], ...]) -> tup
     return tuple((first * step, (first + count) * step) for first, count in lines)
 
 
-def _draw_scene(
-    options: StripOptions, streams: dict[str, np.random.SeedSequence], data: Path | None
-) -> Scene:
-    extent = _ground_extent(options)
+def _draw_scene(options: StripOptions, seed: int, data: Path | None) -> Scene:
+    extent, streams = _ground_extent(options), _streams(seed)
     if options.ground == "spectrum":
         law = TextureLaw(options.contrast, options.gsd, options.mtf_nyquist)
         texture, bands = scene_layers(
             streams["texture"], extent, law, options.common_weights, options.gains, options.gammas
         )
     elif options.ground == "landsat":
-        bands = _landsat_shine(options, extent, data)
+        bands = _landsat_shine(options, extent, seed, data)
         texture = bands[0].common or raster_layer(np.zeros((4, 4)), options.gsd)
     else:
         raise InputError(f"unknown ground: got {options.ground!r}; allowed are 'spectrum', 'landsat'")
@@ -476,9 +474,17 @@ def _draw_scene(
     )
 
 
-def _landsat_shine(options: StripOptions, extent: Extent, data: Path | None) -> tuple[BandShine, ...]:
-    """Real bands as grounds: each relative to its own mean, so that the mean digital number is 1200."""
-    rasters = measured.landsat_bands(data).astype(np.float64)
+def _landsat_shine(
+    options: StripOptions, extent: Extent, seed: int, data: Path | None
+) -> tuple[BandShine, ...]:
+    """Real bands as grounds: each relative to its own mean, so that the mean digital number is 1200.
+
+    The one scene that there is lies one of eight ways, turned and mirrored, in turn of the seeds: strips that
+    saw the same of it would all err alike.
+    """
+    turns, mirrored = divmod(seed % 8, 2)
+    rasters = np.rot90(measured.landsat_bands(data).astype(np.float64), turns, (1, 2))
+    rasters = rasters[:, :, ::-1] if mirrored else rasters
     if len(options.names) > rasters.shape[0]:
         raise InputError(
             f"too many bands for the real ground: {len(options.names)}; it has {rasters.shape[0]} bands"

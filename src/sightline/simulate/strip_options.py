@@ -92,7 +92,7 @@ class StripOptions:
         m, for "spectrum".
     ground : str
         "spectrum" or "landsat" (four real bands, from SIGHTLINE_DATA, mirrored at their edges, one image
-        pixel per pixel).
+        pixel per pixel; seeds show them turned and mirrored in eight ways).
     cloud_cover : float
         Share of the strip under scattered clouds.
     cloud_banks : tuple of (int, int)
