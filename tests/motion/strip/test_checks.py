@@ -51,6 +51,20 @@ def test_lines_that_average_over_most_of_the_strip_are_refused(strip):
         checked(of(201), RecoverOptions())
 
 
+def test_windows_that_all_lie_across_changes_of_stages_are_refused(strip):
+    def of(columns: int):
+        stages = (8 + np.arange(SHAPE[1]) // columns % 2).astype(np.int16)[None]
+        cameras = [replace(one.camera, stages=stages) for one in strip.bands]
+        bands = [replace(one, camera=camera) for one, camera in zip(strip.bands, cameras, strict=True)]
+        return prepared(bands, Plane(), RecoverOptions())
+
+    # windows of 100 columns are narrowed to a quarter at most: stages that change every 8 leave room for none
+    checked(of(40), RecoverOptions())
+    said = r"^0 of \d+ windows lie between two changes of TDI stages, .* 20 are needed; let `stages`"
+    with pytest.raises(EstimationError, match=said):
+        checked(of(8), RecoverOptions())
+
+
 def test_one_image_given_as_two_is_refused(strip):
     def of(image: ArrayImage):
         return replace(strip, bands=tuple(replace(one, image=image) for one in strip.bands))

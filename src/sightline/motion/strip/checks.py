@@ -17,7 +17,8 @@ from sightline.execution import slices
 from sightline.imaging.source import ImageSource
 from sightline.matching.on_geometry import within
 from sightline.motion.band import Band
-from sightline.motion.measure.plan import hub_windows
+from sightline.motion.measure.laid_strips import size_in_partner
+from sightline.motion.measure.plan import hub_windows, mixed_stages
 from sightline.motion.measure.windows import WindowGrid, predict_windows
 from sightline.motion.sensors import AttitudeSensor
 from sightline.motion.strip.hyper import FEWEST_ROWS, KnownContent
@@ -212,6 +213,8 @@ class CommonWindows:
         Rows that hold two of them, of the two images that share most such rows.
     whole_of : tuple of float
         Of each band: windows that lie whole in it and in another.
+    clear_of : tuple of float
+        Of each band: windows seen in it and in another, in neither of them across a change of TDI stages.
     """
 
     seen: float
@@ -219,6 +222,7 @@ class CommonWindows:
     side_by_side: int
     rows: float
     whole_of: tuple[float, ...]
+    clear_of: tuple[float, ...]
 
 
 def windows_in_common(
@@ -230,16 +234,21 @@ def windows_in_common(
     shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
     hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
     common, inside_all, side_by_side, rows = 0.0, 0.0, 0, 0.0
-    whole_of = np.zeros(len(strip.bands))
+    whole_of, clear_of = np.zeros((2, len(strip.bands)))
     for hub, partners, grid in hubs:
         asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
         some, share = WindowGrid(grid.window, asked, grid.columns), len(grid.lines) / len(asked)
-        seen, whole = np.zeros((2, len(some.centres)), dtype=bool)
+        seen, whole, clear = np.zeros((3, len(some.centres)), dtype=bool)
+        alike = ~mixed_stages(strip.nominal[hub], some.centres, grid.window)
         for image, found in zip(
             partners, predict_windows(strip.nominal, hub, partners, strip.surface, some), strict=True
         ):
             here = within(found.b, shapes[image])
             seen |= here
+            size = size_in_partner(strip.nominal, hub, image, grid.window)
+            matched = here & alike & ~mixed_stages(strip.nominal[image], found.b, size)
+            clear |= matched
+            clear_of[image] += share * float(matched.sum())
             rows = max(rows, share * float((here.reshape(some.shape).sum(axis=1) >= 2).sum()))
             inside = within(found.b, shapes[image], np.array(grid.window) / 2.0 - 1.0)
             whole |= inside
@@ -247,8 +256,10 @@ def windows_in_common(
         common += share * float(seen.sum())
         inside_all += share * float(whole.sum())
         whole_of[hub] += share * float(whole.sum())
+        clear_of[hub] += share * float(clear.sum())
         side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
-    return CommonWindows(common, inside_all, side_by_side, rows, tuple(whole_of.tolist()))
+    of_bands = tuple(whole_of.tolist()), tuple(clear_of.tolist())
+    return CommonWindows(common, inside_all, side_by_side, rows, *of_bands)
 
 
 def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
@@ -262,6 +273,13 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
             f"the images have too little ground in common: {common:.0f} windows of {size}, {FEWEST_WINDOWS} "
             "are needed; give longer images (more lines than the longest lag), or smaller windows: "
             "[matching] first_window"
+        )
+    if max(found.clear_of) < FEWEST_WINDOWS:
+        raise EstimationError(
+            f"{max(found.clear_of):.0f} of {common:.0f} windows lie between two changes of TDI stages, and "
+            f"none across one is matched; {FEWEST_WINDOWS} are needed; let `stages` change less often from "
+            "column to column ([choice] hysteresis of TDI.toml), or give narrower windows: [matching] "
+            "first_window, window"
         )
     if found.side_by_side < 2:
         name, columns = min(((b.name, b.image.shape[1]) for b in strip.bands), key=lambda entry: entry[1])

@@ -18,6 +18,7 @@ from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
 from sightline.motion.strip.alternatives import agree, alternative, exchanged_bands
+from sightline.motion.strip.checks import windows_in_common
 from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hidden import likely_modes
@@ -242,6 +243,12 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
 
 def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
     """The one mistake without which it would match, where matches prove it; else what to check."""
+    common = windows_in_common(strip, RecoverOptions())
+    if common.clear_of[lost] < FEWEST_KEPT <= common.whole_of[lost]:
+        return (
+            "nearly all of its windows lie across a change of TDI stages, in it or in the other band: let "
+            "`stages` change less often from column to column"
+        )
     for other in matched:
         words = alternative(strip.bands[other], strip.bands[lost], strip.surface, RecoverOptions().search_px)
         if words:
