@@ -100,6 +100,15 @@ class TestRefused:
         assert "windows kept within (24, 24) px of the prediction" in said
         assert said.endswith("that the bands overlap, or search farther: [matching] search_px")
 
+    def test_a_band_like_no_other_through_which_the_others_are_compared_is_named(self):
+        # the first of the coarse bands: the others of its pixels and the fine one are compared with it alone
+        scene = line_of_sight_case("pan-xs", 1, lines=400, columns=200)
+        given = scene.as_given()
+        lost = replace(given[1], image=ArrayImage(np.random.default_rng(0).normal(500.0, 50.0, (100, 50))))
+        with pytest.raises(EstimationError, match=r"; or B1 looks like no other band: .* put it last"):
+            recover_line_of_sight([given[0], lost, *given[2:]], Plane())
+        recover_line_of_sight([given[0], *given[2:], lost], Plane(), options=RecoverOptions(passes=1))
+
     def test_bands_beyond_the_first_search_are_searched_farther(self):
         # a drift of 4 px a second and a turn of 4 px beside constants of 2 px: far beyond a search of 1 px
         scene = line_of_sight_case("nominal", 5, lines=500, columns=160)

@@ -93,6 +93,8 @@ from sightline.motion.strip.viewing_axes import (
 )
 from sightline.motion.strip.warnings import (
     ENOUGH_KEPT,
+    THROUGH_IT,
+    compared_through,
     control_warnings,
     controlled_lines,
     observed_lines,
@@ -133,6 +135,8 @@ ASIDE = 0.95
 #: Fewer matches than these, or first ones than this share of the windows tried, are such as chance keeps: the
 #: prediction is wrong, texture is not what is missing.
 FEWEST_KEPT, MIN_KEPT_SHARE = 20, 0.02
+#: Share of the windows from which on one band that spoils all of its own spoils the strip.
+NEARLY_ALL = 0.75
 #: Where fewer windows than half of those tried are kept, the first search goes so many times as far, up to so
 #: many px, and counts if it keeps so many times as many.
 FARTHER, FARTHEST, MORE_KEPT = 3, 32, 1.3
@@ -440,7 +444,7 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{searched} px of the prediction ({_counts(records)}); check look angles, line times "
             "and that the bands overlap, or search farther: [matching] search_px"
-            f"{farthest_control(strip)}{farthest_sensor(strip, searched)}"
+            f"{_only_through(strip, records)}{farthest_control(strip)}{farthest_sensor(strip, searched)}"
         )
     # robust weights leave some out, which are found every time
     found = _share_kept(records)
@@ -507,6 +511,16 @@ def _counts(records: Sequence[StarRecord]) -> str:
     numbers = np.bincount(np.concatenate([r.status.ravel() for r in records]), minlength=len(STATUS_NAMES))
     order = np.argsort(-numbers, kind="stable")
     return ", ".join(f"{numbers[code]} {STATUS_NAMES[code]}" for code in order if numbers[code])
+
+
+def _only_through(strip: Strip, records: Sequence[StarRecord]) -> str:
+    """The band that nearly all windows were compared with, as the end of a refusal; "" if there is none."""
+    share = compared_through(records, len(strip.bands))
+    most = int(np.argmax(share))
+    if share[most] < NEARLY_ALL:
+        return ""
+    name = strip.bands[most].name
+    return f"; or {name} looks like no other band: {THROUGH_IT}"
 
 
 def _check_for_one_mistake(strip: Strip, options: RecoverOptions, seen: str) -> None:

@@ -12,10 +12,17 @@ import pytest
 from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
+from sightline.matching.matches import LOW_SCORE, OUTSIDE
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.strip import RecoverOptions, prepared
-from sightline.motion.strip.warnings import _far_off, _hidden_by_stages, _large_hidden, out_of_step
+from sightline.motion.strip.warnings import (
+    _far_off,
+    _hidden_by_stages,
+    _large_hidden,
+    compared_through,
+    out_of_step,
+)
 from sightline.simulate.scenarios import line_of_sight_case
 
 
@@ -138,3 +145,14 @@ def test_modes_that_stages_hide_and_rows_do_not_tell_of_are_named_where_sigma_ho
     flat = (Spectrum((TabulatedPsd((0.0, 100.0), (1e-12, 1e-12)),)),) * 3
     strip.known = KnownContent(spectra=flat)
     assert _hidden_by_stages(strip, state(20.0, spectra=flat, blur_shows=False), motion) == []
+
+
+def test_bands_are_compared_through_the_one_that_windows_of_two_others_were_cut_from() -> None:
+    def of(hub: int, images: tuple[int, ...], tried: int, beside: int = 0):
+        status = np.array([[LOW_SCORE] * len(images)] * tried + [[OUTSIDE] * len(images)] * beside)
+        return SimpleNamespace(star=SimpleNamespace(hub=hub, images=images), status=status)
+
+    # 60 pairs of windows through band 0; 15 of band 1 in band 2 alone, and none where nothing was compared
+    records: Any = [of(0, (1, 2), 30, beside=50), of(1, (2,), 15)]
+    assert compared_through(records, 3).tolist() == [60 / 75, 0.0, 0.0]
+    assert compared_through([], 2).tolist() == [0.0, 0.0]

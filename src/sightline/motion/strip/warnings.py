@@ -51,6 +51,10 @@ LARGE_HIDDEN_PX = 0.2
 #: than so much of the likeliest are not named.
 WORTH_SAYING, MAIN = 0.05, 0.1
 
+#: Share of all windows from which on it is said that other bands were compared through a lost one, and how.
+MUCH = 0.1
+THROUGH_IT = "others that see its ground were compared with it alone: put it last in the file or leave it out"
+
 #: px; jitter that one detector line hardly ever has.
 WILD_PX = 5.0
 #: Sigmas stated beforehand by which what was found may be off, unsaid.
@@ -226,6 +230,7 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
     groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone)
     matched = matched[np.argsort(groups[matched], kind="stable")]
+    through = compared_through(records, len(strip.bands))
     out = []
     if len(matched) and len(lost) > 1:
         some = [strip.bands[b] for b in (matched[0], *lost)]
@@ -236,9 +241,26 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
             lost = np.array([b for b in lost if strip.bands[b].name not in names], dtype=int)
     return out + [
         f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
-        "nothing measures its place; " + _why_unmatched(strip, int(b), matched)
+        "nothing measures its place; "
+        + _why_unmatched(strip, int(b), matched)
+        + (f"; {THROUGH_IT}" if through[b] > MUCH else "")
         for b in lost
     ]
+
+
+def compared_through(records: Sequence[StarRecord], bands: int) -> NDArray[np.float64]:
+    """Of each band, the share of all windows tried that were cut from it to be found in two others or more.
+
+    There these are compared through it alone: what it does not show, they do not.
+    """
+    tried = np.zeros(bands)
+    of_all = 0
+    for record in records:
+        count = int((~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))).sum())
+        of_all += count
+        if len(record.star.images) > 1:
+            tried[record.star.hub] += count
+    return tried / max(of_all, 1)
 
 
 def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
