@@ -40,6 +40,14 @@ def test_a_number_in_place_of_a_list_is_answered_with_how_a_list_is_written(fold
     assert "band[1].offset_px = 0.0 is not allowed: a list is, its values in brackets, as [1.0, 2.0]" in said
 
 
+@pytest.mark.parametrize(
+    ("mask", "allowed"), [("7", "text in quotation marks is"), ('""', "text that is not empty")]
+)
+def test_what_is_no_text_is_answered_with_how_text_is_written(folder, mask, allowed):
+    said = message(folder.replace("offset_sigma_px = 0.0", f"mask = {mask}"))
+    assert "band[1].mask = " in said and f" is not allowed: {allowed}" in said
+
+
 def test_an_unknown_table_is_named_with_the_nearest_one(folder):
     assert "unknown key 'surfaces'; did you mean surface?" in message(
         folder.add("[surfaces]\nheight = 0.0\n")

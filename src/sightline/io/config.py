@@ -386,6 +386,10 @@ def _explain(error: Any) -> str:
         return f"{key} = {shown(given)} is not allowed: a list is, its values in brackets, as [1.0, 2.0]"
     if kind in ("bool_type", "bool_parsing"):
         return f"{key} = {shown(given)} is not allowed: true or false is"
+    if kind == "string_type":
+        return f"{key} = {shown(given)} is not allowed: text in quotation marks is"
+    if kind == "string_too_short":
+        return f"{key} = {shown(given)} is not allowed: text that is not empty is; or leave it out"
     if kind == "too_long":
         return f"{key} holds more values than the {context['max_length']} that are allowed; leave some out"
     if kind == "too_short":
