@@ -53,3 +53,13 @@ def test_an_image_in_memory_is_the_whole_of_it_and_of_its_mask():
         np.testing.assert_array_equal(held.array, image.array)
         np.testing.assert_array_equal(held.unusable, image.unusable)
     assert in_memory(ArrayImage(pixels)).unusable is None
+
+
+@pytest.mark.parametrize("fill", [-3.4028235e38, 3e38, np.inf, np.nan])
+def test_fill_values_that_no_file_declares_are_no_pixels(fill):
+    # they are floats like others, but their squares are infinite in float32
+    array = np.full((4, 6), 500.0, np.float32)
+    array[1:3, 2] = fill
+    pixels, unusable = read_padded(ArrayImage(array), (0, 4), (0, 6))
+    assert (pixels == 500.0).all()
+    assert unusable is not None and unusable.tolist() == (array != 500.0).tolist()

@@ -163,6 +163,10 @@ class MaskedImage:
         return more if own is None else own | more
 
 
+#: Values beyond are no light but no data that the file does not declare, as -3.4e38: their squares overflow.
+LARGEST = np.float32(1e15)
+
+
 def usable_lines(image: ImageSource, first: int, last: int) -> NDArray[np.float64]:
     """Whole lines [first, last) as float64; NaN where not to be used."""
     window = (first, last), (0, image.shape[1])
@@ -194,7 +198,7 @@ def read_padded(
 
     Returns
     -------
-    pixels : (lines, columns) float32, finite
+    pixels : (lines, columns) float32, finite; what is not, or beyond LARGEST, is filled and unusable
     unusable : (lines, columns) bool, or None when every pixel is usable
     """
     inside, pads = [], []
@@ -209,7 +213,7 @@ def read_padded(
         pads.append((low - first, last - high))
     pixels = image.read(inside[0], inside[1])
     unusable = image.mask(inside[0], inside[1])
-    finite = np.isfinite(pixels)
+    finite = np.abs(pixels) <= LARGEST  # false for NaN too
     if not finite.all():
         unusable = ~finite if unusable is None else unusable | ~finite
         pixels = np.where(finite, pixels, np.float32(pixels[finite].mean() if finite.any() else 0.0))
