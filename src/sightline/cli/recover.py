@@ -65,7 +65,8 @@ def recover(
         return
     for axis, unit in (("roll", "px"), ("pitch", "px"), ("yaw", "px at the field's edge")):
         motion, sigma = summary["rms_motion_px"][axis], summary["rms_sigma_px"][axis]
-        say(f"{axis:5}  moved {motion:.4f} {unit} rms, known to {sigma:.4f} px (1-sigma)")
+        unseen = "" if motion > sigma else ": not told from no motion"
+        say(f"{axis:5}  moved {motion:.4f} {unit} rms, known to {sigma:.4f} px (1-sigma){unseen}")
     if summary["hidden_directions"]:
         words = grouped(summary["hidden_directions"]["words"])
         say(f"(after what the images cannot see is left out, by {out / TABLE}: {words})")

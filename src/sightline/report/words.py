@@ -292,8 +292,9 @@ def withheld_words(summary: Mapping[str, Any]) -> list[str]:
             "within 1.96 sigma"
         )
     why = "left out on demand" if found[0]["asked"] else "that the estimate did not use"
-    pair = "Pair" if len(pairs) == 1 else "Pairs"
-    return [f"{pair} {', '.join(pairs)}, {why}, against what it predicts of them: {'; '.join(parts)}."]
+    pair, them = ("Pair", "it") if len(pairs) == 1 else ("Pairs", "them")
+    what = f"{pair} {', '.join(pairs)} ({why}) less the estimate's prediction of {them}"
+    return [f"{what}: {'; '.join(parts)}."]
 
 
 def withheld_rows(summary: Mapping[str, Any]) -> list[list[str]]:
