@@ -131,6 +131,17 @@ class TestCorrelation:
         assert_allclose(got, self.TRUE, atol=0.16)
         assert_allclose(got, got.T)
 
+    def test_rows_that_two_windows_decide_leave_numbers(self):
+        star = plain_star(400, 8, 1, SIGMA)
+        rng = np.random.default_rng(16)
+        sigma = np.full((400, 8), 1e9)
+        for row in sigma:
+            row[rng.choice(8, 2, replace=False)] = rng.uniform(1.0, 3.0, 2)
+        sigma = sigma.ravel()
+        star = replace(star, covariance_px=star.covariance_px * sigma[:, None, None, None] ** 2)
+        got = estimate_correlation(star, drawn(star, 16) * sigma[:, None, None])
+        assert np.isfinite(got).all() and (np.linalg.eigvalsh(got) > 0.0).all()
+
     @pytest.mark.parametrize("wrong", [0.5, 2.0])
     def test_noisy_windows_whose_sigma_is_wrong_do_not_make_that_of_good_ones_wrong(self, wrong):
         # the right half: ten times the sigma, by which the matcher is wrong

@@ -125,7 +125,8 @@ def _about_lines(
         det = s0 * s2 - s1 * s1
         slope, mean = (s0 * y1 - s1 * y0) / det, (s2 * y0 - s1 * y1) / det
         left = z - w * (mean + slope * x)
-        freedom = 1.0 - w * w * (s2 - 2.0 * s1 * x + s0 * x * x) / det
+        # of a match that its row hardly adds to, rounding leaves less than nothing
+        freedom = np.maximum(1.0 - w * w * (s2 - 2.0 * s1 * x + s0 * x * x) / det, 0.0)
     there = seen & (number >= least) & (det > 1e-9)
     return np.where(there, left, np.nan), np.where(there, freedom, 0.0), np.where(there, w * w, 0.0)
 
