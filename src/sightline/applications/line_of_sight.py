@@ -93,11 +93,10 @@ from sightline.motion.strip.viewing_axes import (
 )
 from sightline.motion.strip.warnings import (
     ENOUGH_KEPT,
-    THROUGH_IT,
-    compared_through,
     control_warnings,
     controlled_lines,
     observed_lines,
+    spoilt_hub,
     strip_warnings,
 )
 from sightline.motion.strip.withheld import contradictions, judged, withheld_numbers, without_pairs
@@ -135,8 +134,6 @@ ASIDE = 0.95
 #: Fewer matches than these, or first ones than this share of the windows tried, are such as chance keeps: the
 #: prediction is wrong, texture is not what is missing.
 FEWEST_KEPT, MIN_KEPT_SHARE = 20, 0.02
-#: Share of the windows from which on one band that spoils all of its own spoils the strip.
-NEARLY_ALL = 0.75
 #: Where fewer windows than half of those tried are kept, the first search goes so many times as far, up to so
 #: many px, and counts if it keeps so many times as many.
 FARTHER, FARTHEST, MORE_KEPT = 3, 32, 1.3
@@ -153,7 +150,8 @@ class _Passed:
     """What is known after a pass.
 
     `changes` are by how much each pass so far changed the motion, `left` by how much a given spectrum did;
-    `shapes` are those that were found of detector lines, `options` what the windows were matched by.
+    `shapes` are those that were found of detector lines, `order` that in which windows are cut from the
+    bands, `options` what the windows were matched by.
     """
 
     name: str
@@ -161,6 +159,7 @@ class _Passed:
     changes: tuple[float, ...] = ()
     left: float = 0.0
     shapes: Shapes = ()
+    order: tuple[int, ...] = ()
     options: RecoverOptions | None = None
 
 
@@ -302,7 +301,7 @@ def joint_line_of_sight(
     passed = _resumed(stages, names)
     if passed is None:
         passed = _kept(stages, names, _begun(draft, options, height_sigma, tell, names[0]))
-    strip, draft = with_shapes(strip, passed.shapes), with_shapes(draft, passed.shapes)
+    strip, draft = (with_shapes(replace(s, order=passed.order), passed.shapes) for s in (strip, draft))
     options = passed.options or windows_over_bends(options, strip.bands)
     while len(passed.changes) < options.passes:
         # the first of the changes has no spectrum of its own yet
@@ -402,18 +401,23 @@ def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:
 
 def _begun(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress, name: str) -> _Passed:
     """The first state, with the shapes of detector lines that it shows."""
-    state = _begin(strip, options, height_sigma, tell)
+    strip, state = _begin(strip, options, height_sigma, tell)
     shapes = _found_shapes(strip, state, options, tell)
     if shapes:
-        state = _begin(with_shapes(strip, shapes), options, height_sigma, tell)
-    return _Passed(name, state, shapes=shapes)
+        strip, state = _begin(with_shapes(strip, shapes), options, height_sigma, tell)
+    return _Passed(name, state, shapes=shapes, order=strip.order)
 
 
-def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> StripState:
-    """The first state: from all bands, or from the first pair, then with one band after the other."""
+def _begin(
+    strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress
+) -> tuple[Strip, StripState]:
+    """The first state: from all bands, or from the first pair, then with one band after the other.
+
+    With the strip, whose bands may have another order (`_compared`).
+    """
     if options.hybridise == "global":
         return _first_pass(strip, options, height_sigma, tell)
-    state = _first_pass(replace(strip, order=strip.order[:2]), options, height_sigma, tell)
+    _, state = _first_pass(replace(strip, order=strip.order[:2]), options, height_sigma, tell)
     for count in range(3, len(strip.order) + 1):
         some = replace(strip, order=strip.order[:count])
         if not any((some.order[-1], earlier) in strip.views for earlier in some.order[:-1]):
@@ -427,15 +431,17 @@ def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Pro
             nodes, statics = state.estimate.nodes, state.estimate.statics
             records = tuple(_with_floor(r) for r in _match(some, nodes, statics, plan, step=step))
             state = solve_strip(some, records, nodes, statics, some.broad, height_sigma, before=state)
-    return state
+    return strip, state
 
 
-def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> StripState:
+def _first_pass(
+    strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress
+) -> tuple[Strip, StripState]:
     """Search about the nominal prediction with large windows; solve under a broad prior."""
     statics = np.zeros(len(strip.parameters))
     nodes = initial_attitude(strip, statics)
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
-    records, searched = _searched(strip, nodes, statics, plan, tell)
+    strip, records, searched = _searched(strip, nodes, statics, plan, tell)
     records = tuple(_with_floor(r) for r in records)
     kept, tried = _windows(records)
     if kept < max(FEWEST_KEPT, MIN_KEPT_SHARE * tried):
@@ -444,7 +450,7 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{searched} px of the prediction ({_counts(records)}); check look angles, line times "
             "and that the bands overlap, or search farther: [matching] search_px"
-            f"{_only_through(strip, records)}{farthest_control(strip)}{farthest_sensor(strip, searched)}"
+            f"{farthest_control(strip)}{farthest_sensor(strip, searched)}"
         )
     # robust weights leave some out, which are found every time
     found = _share_kept(records)
@@ -469,24 +475,42 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     records = _match(strip, nodes, statics, plan, records, step, learned=True)
     records = tuple(_with_floor(r) for r in records)
     _some_left(strip, state, records, options)
-    return solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
+    return strip, solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=state)
 
 
 def _searched(
     strip: Strip, nodes: Array, statics: Array, plan: MatchingPlan, tell: Progress
-) -> tuple[tuple[StarRecord, ...], tuple[int, int]]:
+) -> tuple[Strip, tuple[StarRecord, ...], tuple[int, int]]:
     """The first matches, and how far (lines, columns) px they were searched: farther where few are kept.
 
     A turn about the line of sight moves bands that look ahead of a narrow line far across it.
     """
-    records = _match(strip, nodes, statics, plan, step=steps_of(tell, "first pass: wide search"))
+    strip, records = _compared(strip, nodes, statics, plan, tell)
     lines, columns = (max(min(FARTHER * px, FARTHEST), px) for px in plan.search_px)
     if _share_kept(records) >= ENOUGH_KEPT or (lines, columns) == plan.search_px:
-        return records, plan.search_px
+        return strip, records, plan.search_px
     step = steps_of(tell, f"first pass: searching within {lines} lines and {columns} columns")
     farther = _match(strip, nodes, statics, replace(plan, search_px=(lines, columns)), step=step)
     better = _share_kept(farther) > MORE_KEPT * _share_kept(records)
-    return farther if better else records, (lines, columns)
+    return strip, farther if better else records, (lines, columns)
+
+
+def _compared(
+    strip: Strip, nodes: Array, statics: Array, plan: MatchingPlan, tell: Progress
+) -> tuple[Strip, tuple[StarRecord, ...]]:
+    """The first matches; where the band that others are compared through looks like none, it comes last."""
+    records = _match(strip, nodes, statics, plan, step=steps_of(tell, "first pass: wide search"))
+    best = strip, records
+    for _ in range(len(strip.bands) - 2):
+        hub = spoilt_hub(records, len(strip.bands))
+        if hub is None:
+            break
+        strip = replace(strip, order=(*(band for band in strip.order if band != hub), hub))
+        step = steps_of(tell, f"first pass: {strip.bands[hub].name} matches nothing, comparing the others")
+        records = _match(strip, nodes, statics, plan, step=step)
+        if _share_kept(records) > MORE_KEPT * _share_kept(best[1]):
+            best = strip, records
+    return best
 
 
 def _found_shapes(strip: Strip, state: StripState, options: RecoverOptions, tell: Progress) -> Shapes:
@@ -511,16 +535,6 @@ def _counts(records: Sequence[StarRecord]) -> str:
     numbers = np.bincount(np.concatenate([r.status.ravel() for r in records]), minlength=len(STATUS_NAMES))
     order = np.argsort(-numbers, kind="stable")
     return ", ".join(f"{numbers[code]} {STATUS_NAMES[code]}" for code in order if numbers[code])
-
-
-def _only_through(strip: Strip, records: Sequence[StarRecord]) -> str:
-    """The band that nearly all windows were compared with, as the end of a refusal; "" if there is none."""
-    share = compared_through(records, len(strip.bands))
-    most = int(np.argmax(share))
-    if share[most] < NEARLY_ALL:
-        return ""
-    name = strip.bands[most].name
-    return f"; or {name} looks like no other band: {THROUGH_IT}"
 
 
 def _check_for_one_mistake(strip: Strip, options: RecoverOptions, seen: str) -> None:

@@ -51,9 +51,11 @@ LARGE_HIDDEN_PX = 0.2
 #: than so much of the likeliest are not named.
 WORTH_SAYING, MAIN = 0.05, 0.1
 
-#: Share of all windows from which on it is said that other bands were compared through a lost one, and how.
+#: Of the windows of a wide search chance keeps up to an eighth: a band that keeps no more than this share in
+#: any pair looks like none.
+HARDLY = 0.25
+#: Share of all windows that such a band costs at least where it is put last.
 MUCH = 0.1
-THROUGH_IT = "others that see its ground were compared with it alone: put it last in the file or leave it out"
 
 #: px; jitter that one detector line hardly ever has.
 WILD_PX = 5.0
@@ -216,21 +218,12 @@ def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
 
 def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
     """Bands none of whose pairs keeps enough windows, and the one mistake that is why where there is one."""
-    compared = np.zeros((len(strip.bands), len(strip.bands)), dtype=int)
-    kept = np.zeros_like(compared)
-    for record in records:
-        # under a mask, or where the other image has no pixels, nothing was compared
-        tried = ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
-        for k, image in enumerate(record.star.images):
-            compared[record.star.hub, image] += int(tried[:, k].sum())
-            kept[record.star.hub, image] += int(record.star.present[:, k].sum())
-    compared, kept = compared + compared.T, kept + kept.T
+    compared, kept = _pairs_compared(records, len(strip.bands))
     alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
     # those of coarse pixels first, whose windows are compared with those of fine ones
     groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone)
     matched = matched[np.argsort(groups[matched], kind="stable")]
-    through = compared_through(records, len(strip.bands))
     out = []
     if len(matched) and len(lost) > 1:
         some = [strip.bands[b] for b in (matched[0], *lost)]
@@ -241,11 +234,28 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
             lost = np.array([b for b in lost if strip.bands[b].name not in names], dtype=int)
     return out + [
         f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
-        "nothing measures its place; "
-        + _why_unmatched(strip, int(b), matched)
-        + (f"; {THROUGH_IT}" if through[b] > MUCH else "")
+        f"nothing measures its place; {_why_unmatched(strip, int(b), matched)}"
         for b in lost
     ]
+
+
+def _pairs_compared(records: Sequence[StarRecord], bands: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(bands, bands) windows of each pair that were compared, and those kept."""
+    compared, kept = np.zeros((2, bands, bands), dtype=int)
+    for record in records:
+        # under a mask, or where the other image has no pixels, nothing was compared
+        tried = ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
+        for k, image in enumerate(record.star.images):
+            compared[record.star.hub, image] += int(tried[:, k].sum())
+            kept[record.star.hub, image] += int(record.star.present[:, k].sum())
+    return compared + compared.T, kept + kept.T
+
+
+def spoilt_hub(records: Sequence[StarRecord], bands: int) -> int | None:
+    """The band that others were compared through, though it matches hardly any; None if there is none."""
+    compared, kept = _pairs_compared(records, bands)
+    through = compared_through(records, bands) * (kept < HARDLY * compared + (compared == 0)).all(axis=1)
+    return int(np.argmax(through)) if through.max() > MUCH else None
 
 
 def compared_through(records: Sequence[StarRecord], bands: int) -> NDArray[np.float64]:
