@@ -149,6 +149,24 @@ def test_a_run_that_was_stopped_after_its_last_pass_knows_its_windows(short, tmp
     assert content(out) == content(tmp_path / "whole")
 
 
+def test_a_run_of_listed_features_that_was_stopped_goes_on_to_the_same_bits(short, tmp_path, monkeypatch):
+    # stages keep arrays, numbers and texts: features, by image, are none of these
+    scene = tmp_path / "scene"
+    shutil.copytree(short, scene)
+    toml = scene / "acquisition.toml"
+    names = re.findall(r'\[\[band\]\]\nname = "(\w+)"', toml.read_text())
+    rows = [
+        f"{name},{line},{column}" for name in names for line in range(340) for column in range(12, 144, 24)
+    ]
+    (scene / "features.csv").write_text("\n".join(["image,line,column", *rows]) + "\n")
+    toml.write_text(toml.read_text() + 'select = "listed"\nfeatures = "features.csv"\n')
+    command, out = ["recover", str(toml), "--out"], tmp_path / "out"
+    assert run([*command, str(tmp_path / "whole")]) == 0
+    stopped_after(1, [*command, str(out)], monkeypatch)
+    assert run([*command, str(out), "--resume"]) == 0
+    assert content(out) == content(tmp_path / "whole")
+
+
 @pytest.mark.parametrize("other", ["options", "images"])
 def test_passes_of_another_acquisition_or_other_options_are_refused_or_passed_over(
     short, tmp_path, capsys, monkeypatch, other

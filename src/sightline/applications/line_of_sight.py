@@ -151,7 +151,7 @@ class _Passed:
 
     `changes` are by how much each pass so far changed the motion, `left` by how much a given spectrum did;
     `shapes` are those that were found of detector lines, `order` that in which windows are cut from the
-    bands, `options` what the windows were matched by.
+    bands, `window` and `step` what they were matched by, or will be in the next pass.
     """
 
     name: str
@@ -160,7 +160,12 @@ class _Passed:
     left: float = 0.0
     shapes: Shapes = ()
     order: tuple[int, ...] = ()
-    options: RecoverOptions | None = None
+    window: tuple[int, int] = RecoverOptions.window
+    step: int = RecoverOptions.step
+
+    def matched_by(self, options: RecoverOptions) -> _Passed:
+        """The same with the windows and rows of these options."""
+        return replace(self, window=options.window, step=options.step)
 
 
 @makes_result
@@ -302,7 +307,7 @@ def joint_line_of_sight(
     if passed is None:
         passed = _kept(stages, names, _begun(draft, options, height_sigma, tell, names[0]))
     strip, draft = (with_shapes(replace(s, order=passed.order), passed.shapes) for s in (strip, draft))
-    options = passed.options or windows_over_bends(options, strip.bands)
+    options = replace(options, window=passed.window, step=passed.step)
     while len(passed.changes) < options.passes:
         # the first of the changes has no spectrum of its own yet
         if len(passed.changes) > 1 and passed.changes[-1] < tolerance:
@@ -316,15 +321,15 @@ def joint_line_of_sight(
         changes = (*passed.changes, _change(draft, state, refined))
         # without its factors, which lie in memory and on disk as long as it does
         refined = replace(refined, estimate=replace(refined.estimate))
-        passed = replace(passed, name=names[number + 1], state=refined, changes=changes, options=options)
-        passed = _kept(stages, names, passed)
+        passed = replace(passed, name=names[number + 1], state=refined, changes=changes)
+        passed = _kept(stages, names, passed.matched_by(options))
         del refined  # the next pass holds the windows of this one but for what is heavy of them
     if wide and passed.name not in (_WHOLE, _GIVEN):
         step = steps_of(tell, "last pass: matching over the whole field")
         passed = replace(passed, state=_light(passed.state))
         options = finer_rows(options, strip.bands, [record.star for record in passed.state.records])
         state = _compensated_pass(strip, passed.state, options.passes, options, height_sigma, tell, step)
-        passed = _kept(stages, names, replace(passed, name=_WHOLE, state=state, options=options))
+        passed = _kept(stages, names, replace(passed, name=_WHOLE, state=state).matched_by(options))
     if strip.known.spectra is not None and passed.name != _GIVEN:
         step = steps_of(tell, "last pass: under the given spectrum")
         found = passed.state
@@ -405,7 +410,8 @@ def _begun(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Pro
     shapes = _found_shapes(strip, state, options, tell)
     if shapes:
         strip, state = _begin(with_shapes(strip, shapes), options, height_sigma, tell)
-    return _Passed(name, state, shapes=shapes, order=strip.order)
+    begun = _Passed(name, state, shapes=shapes, order=strip.order)
+    return begun.matched_by(windows_over_bends(options, strip.bands))
 
 
 def _begin(
