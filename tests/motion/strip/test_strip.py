@@ -13,6 +13,7 @@ from sightline.errors import InputError
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
+from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.strip.strip import RecoverOptions, finer_rows, prepared, suited
 
@@ -189,6 +190,9 @@ def test_windows_of_wide_bands_whose_matches_are_good_span_a_millisecond(period,
         ({}, {"asked": ("window",)}, 0.01),
         ({}, {"step": 5}, 0.01),
         ({}, {"grid_lines": 1.0}, 0.01),
+        # so many windows however near rows are: lower ones would see less of the ground
+        ({}, {"selection": Selection("spread")}, 0.01),
+        ({}, {"selection": Selection("listed", features={0: np.zeros((1, 2))})}, 0.01),
     ],
 )
 def test_other_windows_stay_as_they_are(bands, options, sigma):

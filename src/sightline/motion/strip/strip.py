@@ -61,6 +61,8 @@ ROW_SECONDS = 3.2e-3
 #: match of usual ones errs by so little (px, 1-sigma): then vibrations stand above the noise that usual rows
 #: average away. Half a window errs by sqrt(2) of that, a noisy one by more.
 FINE_SECONDS, FINE_BLOCKS, FINE_SIGMA = 1e-3, 10, 0.05
+#: Ways to select windows that take hardly more of them where rows are nearer.
+BY_NUMBER = ("spread", "listed")
 
 
 @dataclass(frozen=True)
@@ -286,12 +288,14 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
 def finer_rows(options: RecoverOptions, bands: Sequence[Band], stars: Sequence[Star]) -> RecoverOptions:
     """Options with windows, and rows, as near in time as matches as good as those of `stars` can serve.
 
-    Of usual windows of like bands alone: coarse lines and TDI average what nearer rows would see.
+    Of usual windows of like bands alone: coarse lines and TDI average what nearer rows would see. Of windows
+    that are chosen by their number, or by features that they hold, lower ones would not be more.
     """
     usual, periods = RecoverOptions(), [band.camera.detector.line_period for band in bands]
     lines = max(round(FINE_SECONDS / min(periods)), LEAST_WINDOW)
     if (
         any(map(options.own, ("window", "step", "grid_lines")))
+        or options.selection.way in BY_NUMBER
         or lines >= usual.step
         or max(periods) > UNLIKE * min(periods)
         or max(band.camera.columns for band in bands) // usual.window[1] < FINE_BLOCKS
