@@ -177,6 +177,16 @@ class TestCorrelation:
         got = estimate_correlation(star, lasting.reshape(-1, 1, 2))
         assert_allclose(np.diag(got), variance, atol=0.12 * variance)
 
+    def test_rows_that_share_pixels_count_however_many_they_are(self):
+        rows, blocks, many = 3000, 16, 20
+        star = plain_star(rows, blocks, 1, SIGMA, duration=4 * many * PERIOD)
+        fresh = SIGMA * np.random.default_rng(17).standard_normal((rows + many - 1, blocks, 1, 2))
+        lasting = sum(fresh[k : k + rows] for k in range(many)) / np.sqrt(many)
+        # as above, means of twenty rows: the mean of many has twenty times the variance. Sums of 42,000
+        # squares and 19 rows on either side scatter by sqrt(2 (1 + 2 * 19) / 42000) = 4.3 %; four of these
+        got = estimate_correlation(star, lasting.reshape(-1, 1, 2))
+        assert_allclose(np.diag(got), many, atol=0.18 * many)
+
     def test_errors_that_neighbouring_windows_share_count_as_the_mean_of_the_row_feels_them(self):
         star = plain_star(1500, 10, 1, SIGMA)
         fresh = SIGMA * np.random.default_rng(31).standard_normal((1500, 11, 1, 2))

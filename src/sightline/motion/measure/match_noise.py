@@ -184,7 +184,7 @@ def _overlapping(star: Star) -> int:
     """Later rows with which the windows of a row share lines."""
     starts = star.t_hub.reshape(star.shape)[:, 0]
     apart = float(np.median(np.diff(starts))) if len(starts) > 1 else 0.0
-    return min(max(math.ceil(star.duration / apart - 1e-6) - 1, 0), ROW_LAGS) if apart > 0.0 else 0
+    return min(max(math.ceil(star.duration / apart - 1e-6), 1), len(starts)) - 1 if apart > 0.0 else 0
 
 
 def _long_run(
@@ -192,7 +192,7 @@ def _long_run(
 ) -> tuple[Array, float]:
     """Covariance (2K, 2K) of long means of rows by Bartlett's weights, and its scatter by chance as a share.
 
-    Rows that share pixels certainly err alike: these count in full.
+    Rows that share pixels certainly err alike: these count in full, however many they are.
 
     Parameters
     ----------
@@ -207,11 +207,13 @@ def _long_run(
         Later rows with which a row shares pixels.
     """
     lags, total = min(ROW_LAGS, rows - 1), plain
-    for shift in range(1, lags + 1):
+    for shift in range(1, max(lags, overlapping) + 1):
         weight = 1.0 if shift <= overlapping else 1.0 - shift / (ROW_LAGS + 1.0)
         step = covariance(shift) * weight
         total = total + step + step.T
-    return total, float(np.sqrt(4.0 / 3.0 * (lags + 1.0) / independent))
+    # sums with weights w scatter by 2 (1 + 2 sum w^2) squares: Bartlett's, and what full weights add to them
+    full = sum(1.0 - max(1.0 - shift / (ROW_LAGS + 1.0), 0.0) ** 2 for shift in range(1, overlapping + 1))
+    return total, float(np.sqrt((4.0 / 3.0 * (lags + 1.0) + 4.0 * full) / independent))
 
 
 def _steadied(plain: Array, long: Array, chance: float) -> Array:
