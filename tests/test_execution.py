@@ -433,9 +433,18 @@ ctypes.CDLL(None).malloc_stats()
     sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "malloc_stats"),
     reason="glibc alone tells of its heaps",
 )
-@pytest.mark.parametrize(("asked", "one"), [({}, True), ({"MALLOC_ARENA_MAX": "4"}, False)])
+@pytest.mark.parametrize(
+    ("asked", "one"),
+    [
+        ({}, True),
+        ({"MALLOC_ARENA_MAX": "4"}, False),
+        ({"GLIBC_TUNABLES": "glibc.malloc.arena_max=4"}, False),
+        ({"GLIBC_TUNABLES": "glibc.malloc.check=0"}, True),
+    ],
+)
 def test_threads_share_one_heap_unless_the_environment_asks_for_more(asked, one):
-    plain = {name: value for name, value in os.environ.items() if name != "MALLOC_ARENA_MAX"}
+    own = ("MALLOC_ARENA_MAX", "GLIBC_TUNABLES")
+    plain = {name: value for name, value in os.environ.items() if name not in own}
     done = subprocess.run(
         [sys.executable, "-c", HEAPS], env=plain | asked, capture_output=True, text=True, check=True
     )

@@ -841,10 +841,11 @@ def one_heap() -> None:
     """Let all threads of this process take memory from one heap, before there are any.
 
     Each of those that threads have for themselves would keep what was freed in it: a tenth of a long run's
-    memory. ``MALLOC_ARENA_MAX`` of the environment comes first.
+    memory. ``MALLOC_ARENA_MAX`` of the environment, or its newer name in ``GLIBC_TUNABLES``, comes first.
     """
     options = _of_c_library("mallopt")
-    if options is not None and "MALLOC_ARENA_MAX" not in os.environ:
+    asked = "MALLOC_ARENA_MAX" in os.environ or ".arena_max=" in os.environ.get("GLIBC_TUNABLES", "")
+    if options is not None and not asked:
         options(M_ARENA_MAX, 1)
 
 
