@@ -449,3 +449,36 @@ def test_threads_share_one_heap_unless_the_environment_asks_for_more(asked, one)
         [sys.executable, "-c", HEAPS], env=plain | asked, capture_output=True, text=True, check=True
     )
     assert (done.stderr.count("Arena ") == 1) == one
+
+
+WORKER = """
+import ctypes, threading
+from sightline.execution import process
+
+def heaps(_):
+    full = threading.Barrier(4)
+
+    def some():
+        kept = [ctypes.create_string_buffer(5000) for _ in range(100)]
+        full.wait()
+
+    threads = [threading.Thread(target=some) for _ in range(4)]
+    [thread.start() for thread in threads], [thread.join() for thread in threads]
+    ctypes.CDLL(None).malloc_stats()
+
+if __name__ == "__main__":
+    list(process(1).map(heaps, [0]))
+"""
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "malloc_stats"),
+    reason="glibc alone tells of its heaps",
+)
+def test_threads_of_a_process_of_its_own_share_one_heap_too(tmp_path):
+    own = ("MALLOC_ARENA_MAX", "GLIBC_TUNABLES")
+    plain = {name: value for name, value in os.environ.items() if name not in own}
+    (tmp_path / "worker.py").write_text(WORKER)
+    words = [sys.executable, str(tmp_path / "worker.py")]
+    done = subprocess.run(words, env=plain, capture_output=True, text=True, check=True)
+    assert done.stderr.count("Arena ") == 1

@@ -427,6 +427,7 @@ def _serve(connection: Connection[Any, Any], threads: int) -> None:
     # Ctrl-C reaches every process of the terminal: who started this one decides, and asks by SIGTERM
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _limit_blas_of_this_process()
+    one_heap()
     with suppress(EOFError, OSError, KeyboardInterrupt), threads_limited(threads):
         try:
             signal.signal(signal.SIGTERM, stop)
