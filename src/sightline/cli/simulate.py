@@ -134,7 +134,8 @@ def line_of_sight(
         Word,
         _case(
             *STRIP_CASES,
-            more=f"; over a real orbit: {', '.join(ORBIT_CASES)}; photographs of a matrix instrument: "
+            more=" (hard: relief, clouds, SNR 40; pan-xs: a panchromatic band and three of four times its "
+            f"pixels); over a real orbit: {', '.join(ORBIT_CASES)}; photographs of a matrix instrument: "
             f"{FRAMES_CASE}; raw images of a spinning camera, for `init`: {', '.join(SPINNING_CASES)}. "
             "Made of real data, in the folder that SIGHTLINE_DATA names: real, other-family",
         ),

@@ -248,7 +248,9 @@ def line_of_sight_case(
     Parameters
     ----------
     case : str
-        "nominal", "relief", "clouds", "hard", "real" or "other-family".
+        "nominal", "relief", "clouds", "hard" (relief, clouds, SNR 40), "real" (ground, relief and motion),
+        "other-family" (a measured motion, a chirp and a step) or "pan-xs" (a panchromatic band and three of
+        four times its pixels).
     seed : int
         Decides everything that is random.
     profile : JitterProfile, optional
