@@ -126,6 +126,17 @@ def test_sizes_are_learned() -> None:
     assert slow.sizes[1] < 0.02
 
 
+def test_rows_that_share_pixels_are_no_errors_that_last() -> None:
+    star = strip_star(600, 8)
+    # windows of four rows: each errs as the mean of four independent ones
+    own = star.residual_px.reshape(600, 8, 2, 2)
+    mean = sum(np.roll(own, shift, axis=0) for shift in range(4)) / 2.0
+    period = float(np.diff(star.t_hub.reshape(600, 8)[:, 0]).mean())
+    wide = replace(star, residual_px=mean.reshape(-1, 2, 2), duration=4.0 * period)
+    assert not lasts(wide, wide.residual_px)
+    assert lasts(replace(wide, duration=period), wide.residual_px)
+
+
 def test_errors_are_followed_where_windows_err_alike_over_many_rows_and_nowhere_else() -> None:
     white = strip_star(600, 8)
     assert not lasts(white, white.residual_px)

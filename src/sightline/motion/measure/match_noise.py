@@ -248,13 +248,15 @@ def _steadied(plain: Array, long: Array, chance: float) -> Array:
 def lasts(star: Star, post_px: Array) -> bool:
     """Whether windows err alike over many rows, by residuals (G, K, 2) px after an estimate.
 
-    Rows of fewer than LEAST_BESIDE windows, and fewer rows than tell of neighbours, say nothing of it.
+    Rows of fewer than LEAST_BESIDE windows, and fewer rows than tell of neighbours, say nothing of it; nor do
+    rows that share pixels.
     """
     rows, blocks = star.shape
-    if blocks < LEAST_BESIDE or rows < LEAST_BESIDE * (ROW_LAGS + 1):
+    apart = _overlapping(star)
+    if blocks < LEAST_BESIDE or rows - apart < LEAST_BESIDE * (ROW_LAGS + 1):
         return False
     z = np.clip(scatter(star, post_px).z, -CLIP, CLIP)
-    products = [z[: rows - shift] * z[shift:] for shift in range(1, ROW_LAGS + 1)]
+    products = [z[:-shift] * z[shift:] for shift in range(apart + 1, apart + ROW_LAGS + 1)]
     number = sum(int(np.isfinite(p).sum()) for p in products)
     if not number:
         return False
