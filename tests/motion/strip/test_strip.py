@@ -200,6 +200,13 @@ def test_other_windows_stay_as_they_are(bands, options, sigma):
     assert finer_rows(asked, wide_bands(**bands), [plain_star(20, 10, 1, sigma=sigma)]) is asked
 
 
+@pytest.mark.parametrize(("blocks", "finer"), [(4, False), (5, True)])
+def test_wide_bands_that_share_little_of_their_width_keep_usual_windows(blocks, finer):
+    options = RecoverOptions()
+    found = finer_rows(options, wide_bands(), [plain_star(20, blocks, 1, sigma=0.01)])
+    assert (found is not options) == finer
+
+
 def test_without_a_match_nothing_is_known_of_windows():
     star = plain_star(20, 10, 1, sigma=0.01)
     gone = star.with_weight(np.zeros_like(star.weight))
