@@ -412,6 +412,11 @@ def test_durations_and_sizes_are_in_the_unit_in_which_they_are_read():
     ]
 
 
+tells_of_heaps = pytest.mark.skipif(
+    sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "malloc_stats"),
+    reason="glibc alone tells of its heaps",
+)
+
 HEAPS = """
 import ctypes, threading
 from sightline.execution import one_heap
@@ -429,10 +434,7 @@ ctypes.CDLL(None).malloc_stats()
 """
 
 
-@pytest.mark.skipif(
-    sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "malloc_stats"),
-    reason="glibc alone tells of its heaps",
-)
+@tells_of_heaps
 @pytest.mark.parametrize(
     ("asked", "one"),
     [
@@ -471,10 +473,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(
-    sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "malloc_stats"),
-    reason="glibc alone tells of its heaps",
-)
+@tells_of_heaps
 def test_threads_of_a_process_of_its_own_share_one_heap_too(tmp_path):
     own = ("MALLOC_ARENA_MAX", "GLIBC_TUNABLES")
     plain = {name: value for name, value in os.environ.items() if name not in own}

@@ -82,8 +82,12 @@ class RowScatter:
     @property
     def independent(self) -> float:
         """Degrees of freedom of one weight that would tell as much as all do by their counts."""
-        told = [(self.counts[here] * self.freedom[here], self.counts[here]) for here in _rows(self.z)]
-        return float(sum(t.sum() for t, _ in told) ** 2 / max(sum((t * c).sum() for t, c in told), 1e-30))
+        total = squares = 0.0
+        for here in _rows(self.z):
+            told = self.counts[here] * self.freedom[here]
+            total, squares = total + float(told.sum()), squares + float((told * self.counts[here]).sum())
+            let_go()
+        return total**2 / max(squares, 1e-30)
 
 
 def scatter(star: Star, post_px: Array, least: int = MIN_BLOCKS) -> RowScatter:
@@ -165,15 +169,16 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
         return np.asarray(total / np.maximum(both, 1.0))
 
     total = plain = covariance(0)
+    overlapping = _overlapping(star)
     if counted < PLENTY:
         total = (counted * total + START_COUNTS * start) / (counted + START_COUNTS)
-        long, chance = _long_run(plain, covariance, len(v), len(v), _overlapping(star))
+        long, chance = _long_run(plain, covariance, len(v), len(v), overlapping)
         grown = np.sqrt(_believed_ratio(long, plain, chance))
         total = total * np.outer(grown, grown)
         # of pairs that are not seen in the same windows: no covariance of anything, it may be
         return _definite(total, np.sqrt(np.diag(total)))
     scale = np.sqrt(np.diag(plain))
-    total = _steadied(plain, *_long_run(plain, covariance, len(v), counted, _overlapping(star)))
+    total = _steadied(plain, *_long_run(plain, covariance, len(v), counted, overlapping))
     total = total * np.outer(beside, beside)
     scale = scale * beside
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half

@@ -304,8 +304,9 @@ def finer_rows(options: RecoverOptions, bands: Sequence[Band], stars: Sequence[S
         return options
     variances, side_by_side = [np.inf], 0
     for star in stars:
-        variances.extend(star.error_variance(slice(None)).mean(-1)[star.present])
-        in_rows = star.present.reshape(*star.shape, -1).sum(axis=1)
+        present = star.present
+        variances.extend(star.error_variance(slice(None)).mean(-1)[present])
+        in_rows = present.reshape(*star.shape, -1).sum(axis=1)
         side_by_side = max(side_by_side, int(in_rows.max(initial=0)))
     # wide bands may share little of their width: one beside the other, or with a narrow matrix
     if np.median(variances) > FINE_SIGMA**2 or side_by_side < FINE_BLOCKS // 2:

@@ -239,12 +239,16 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
     ]
 
 
+def _tried(record: StarRecord) -> NDArray[np.bool_]:
+    """(G, K) windows that were compared: none under a mask, nor where the other image has no pixels."""
+    return ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
+
+
 def _pairs_compared(records: Sequence[StarRecord], bands: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """(bands, bands) windows of each pair that were compared, and those kept."""
     compared, kept = np.zeros((2, bands, bands), dtype=int)
     for record in records:
-        # under a mask, or where the other image has no pixels, nothing was compared
-        tried = ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
+        tried = _tried(record)
         for k, image in enumerate(record.star.images):
             compared[record.star.hub, image] += int(tried[:, k].sum())
             kept[record.star.hub, image] += int(record.star.present[:, k].sum())
@@ -266,7 +270,7 @@ def compared_through(records: Sequence[StarRecord], bands: int) -> NDArray[np.fl
     tried = np.zeros(bands)
     of_all = 0
     for record in records:
-        count = int((~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))).sum())
+        count = int(_tried(record).sum())
         of_all += count
         if len(record.star.images) > 1:
             tried[record.star.hub] += count
@@ -275,12 +279,13 @@ def compared_through(records: Sequence[StarRecord], bands: int) -> NDArray[np.fl
 
 def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
     """The one mistake without which it would match, where matches prove it; else what to check."""
-    common = windows_in_common(strip, RecoverOptions())
-    if common.clear_of[lost] < FEWEST_KEPT <= common.whole_of[lost]:
-        return (
-            "nearly all of its windows lie across a change of TDI stages, in it or in the other band: let "
-            "`stages` change less often from column to column"
-        )
+    if any(band.camera.stages is not None for band in strip.bands):
+        common = windows_in_common(strip, RecoverOptions())
+        if common.clear_of[lost] < FEWEST_KEPT <= common.whole_of[lost]:
+            return (
+                "nearly all of its windows lie across a change of TDI stages, in it or in the other band: "
+                "let `stages` change less often from column to column"
+            )
     for other in matched:
         words = alternative(strip.bands[other], strip.bands[lost], strip.surface, RecoverOptions().search_px)
         if words:
