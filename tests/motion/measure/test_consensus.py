@@ -129,6 +129,21 @@ class TestClearView:
         assert lonely[8:-8].sum() >= 4 and not got[58:102].any()
         assert got[:50].mean() > 0.96 and got[110:].mean() > 0.96
 
+    @pytest.mark.parametrize("blank", [False, True])
+    def test_windows_that_were_not_chosen_do_not_make_the_chosen_lonely(self, blank):
+        star = star_of()
+        rng = np.random.default_rng(34)
+        # one in twelve: less than LONELY of all; of the chosen, all or 2 % were matched
+        chosen = rng.uniform(size=star.shape) < 1 / BLOCKS
+        chosen |= blank
+        matched = chosen & (rng.uniform(size=star.shape) < 0.02) if blank else chosen
+        post = np.where(matched[..., None, None], noise(star, 35), np.nan)
+        star = replace(star, residual_px=post.reshape(-1, 1, 2), chosen=chosen.ravel())
+        got = weights(star, post)[..., 0]
+        # as of windows of the expected size above: 4 % less than all at most, and what few windows of a row
+        # leave to their line
+        assert not got.any() if blank else got[matched].mean() > 0.9
+
     def test_a_coast_of_two_columns_is_believed(self):
         star = star_of()
         post = noise(star, 32)

@@ -17,6 +17,7 @@ from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
+from sightline.matching.select import Selection
 from sightline.matching.whitening import pair_whitening
 from sightline.motion.band import Band
 from sightline.motion.measure import stars
@@ -185,6 +186,15 @@ class TestMatchStar:
         record = match_star([images[0], partner], cameras, Plane(), 0, (1,), grid, [], PLAN)
         inside = np.abs(record.star.pixels[:, 0] + AHEAD[0] - 119.5) < 14
         assert inside.any() and (record.status[inside, 0] == MASKED).all()
+
+    def test_windows_that_were_not_to_be_matched_are_known(self, images, cameras, record):
+        grid = window_grid(SHAPE, PLAN.window, PLAN.step)
+        some = replace(PLAN, selection=Selection("spread", points=9))
+        star = match_star(images, cameras, Plane(), 0, (1,), grid, [], some).star
+        assert record.star.chosen is None and star.chosen is not None
+        assert star.chosen.sum() == 9 and 0 < star.present.sum() <= 9
+        assert not star.present[~star.chosen].any()
+        assert star.rows(slice(2, 5)).chosen.tolist() == star.chosen.reshape(star.shape)[2:5].ravel().tolist()
 
     def test_a_residual_is_in_pixels_of_the_partner(self):
         # the partner has lines of half the period: hub line p is its line 2 p + 80, and 0.4 of its pixels

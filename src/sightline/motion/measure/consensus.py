@@ -136,7 +136,8 @@ def _foreign_near(
         rows, blocks
     )
     seen = shift.seen
-    shift = replace(shift, seen=seen & ~_lonely(seen, reaches[0]))
+    tried = np.ones_like(seen) if star.chosen is None else star.chosen.reshape(star.shape)
+    shift = replace(shift, seen=seen & ~_lonely(seen, tried, reaches[0]))
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     by_height = _by_height(star, shift.lag)
     shift = replace(shift, lasting=(by_height * relief_sigma) ** 2)
@@ -352,9 +353,9 @@ def _mean_along(values: Array, variance: Array, use: Flags, reach: int) -> tuple
     return mean, np.where(count > 0.0, spread, 1.0), count
 
 
-def _lonely(seen: Flags, reach: int) -> Flags:
-    """Windows among whose neighbours hardly any was matched: chance matches of blank ground."""
-    near, all_ = (sum_beside(sum_along(part.astype(float), reach)) for part in (seen, np.ones_like(seen)))
+def _lonely(seen: Flags, tried: Flags, reach: int) -> Flags:
+    """Windows of whose tried neighbours hardly any was matched: chance matches of blank ground."""
+    near, all_ = (sum_beside(sum_along(part.astype(float), reach)) for part in (seen, tried))
     return np.asarray(seen & (near < LONELY * all_))
 
 

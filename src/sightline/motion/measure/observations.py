@@ -75,6 +75,8 @@ class Star:
         The same of windows all over the hub, where those of the star show little of it.
     window : (lines, columns), optional
         Size of the windows, px.
+    chosen : (G,), optional
+        Windows that were to be matched; None: all.
     blur_px : (G, K, 2), optional
         px; what was taken off `residual_px` for jitter within the stages of TDI; None: no band has TDI.
     uneven : (G, K, 2, 2, 3, B) float32, optional
@@ -109,6 +111,7 @@ class Star:
     blur_px: Array | None = None
     uneven: NDArray[np.float32] | None = None
     uneven_at: Array | None = None
+    chosen: NDArray[np.bool_] | None = None
 
     @property
     def longest(self) -> float:

@@ -326,6 +326,7 @@ def match_star(
         brightness=_brightness(before, images[hub], hub, grid),
         brightness_elsewhere=_brightness_elsewhere(before, images[hub], grid, strips.plan.step),
         window=grid.window,
+        chosen=None if plan.selection.way == "all" else chosen,
     )
     return StarRecord(star, status, score, tuple(partner.whitening for partner in found))
 
