@@ -350,7 +350,7 @@ def joint_line_of_sight(
     give_back_memory()
     withheld = judged(strip, state, options)
     give_back_memory()
-    result = replace(_result(strip, state, passed.changes, options.window, draft), withheld=withheld)
+    result = replace(_result(strip, state, passed.changes, options, draft), withheld=withheld)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state))
     tdi = any(band.camera.stages is not None for band in strip.bands)
     warnings = (*result.warnings, *warnings, *contradictions(withheld, tdi=tdi))
@@ -360,7 +360,7 @@ def joint_line_of_sight(
 def controlled_line_of_sight(strip: Strip) -> LineOfSight:
     """The motion of a strip of one band that was prepared and checked, from its control points."""
     strip, state, fit = solve_by_control(strip)
-    return replace(_result(strip, state, (), (0, 0), strip, fit), control=fit)
+    return replace(_result(strip, state, (), RecoverOptions(), strip, fit), control=fit)
 
 
 def _resumed(stages: Stages, names: Sequence[str]) -> _Passed | None:
@@ -739,7 +739,7 @@ def _result(
     strip: Strip,
     state: StripState,
     changes: tuple[float, ...],
-    window: tuple[int, int],
+    options: RecoverOptions,
     draft: Strip,
     fit: ControlFit | None = None,
 ) -> LineOfSight:
@@ -767,7 +767,9 @@ def _result(
     observed = observed_lines(strip, state, t) if fit is None else controlled_lines(strip, fit, t)
     cameras = tuple(strip.body_cameras(estimate.nodes, estimate.statics))
     records = tuple(
-        without_common_ground(replace(r, star=turned_star(r.star, turn)), cameras, strip.surface, window)
+        without_common_ground(
+            replace(r, star=turned_star(r.star, turn)), cameras, strip.surface, options.window
+        )
         for r in state.records
     )
     for camera in cameras:
@@ -800,7 +802,7 @@ def _result(
         relief=_relief(strip, state),
         lines=lines,
         warnings=strip_warnings(
-            strip, state, motion, observed, list(changes), DRAFT_LEFT if draft.draft else 1.0
+            strip, state, motion, observed, list(changes), options, DRAFT_LEFT if draft.draft else 1.0
         )
         if fit is None
         else control_warnings(strip, state, motion, observed, fit),

@@ -16,7 +16,13 @@ from sightline.imaging.source import ArrayImage
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.sensors import ControlSightings
-from sightline.motion.strip.checks import check_images, checked, farthest_control, farthest_sensor
+from sightline.motion.strip.checks import (
+    check_images,
+    checked,
+    farthest_control,
+    farthest_sensor,
+    windows_in_common,
+)
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.motion.strip.warnings import _factor_words
@@ -63,6 +69,21 @@ def test_windows_that_all_lie_across_changes_of_stages_are_refused(strip):
     said = r"^0 of \d+ windows lie between two changes of TDI stages, .* 20 are needed; let `stages`"
     with pytest.raises(EstimationError, match=said):
         checked(of(8), RecoverOptions())
+
+
+def test_windows_clear_of_changes_are_counted_in_all_pairs(strip):
+    shape = (60, 320)
+    rng = np.random.default_rng(1)
+    bands = [
+        Band(f"band {k}", ArrayImage(rng.standard_normal(shape)), camera)
+        for k, camera in enumerate(strip_cameras((0.0, -8.0, -16.0, -24.0), *shape))
+    ]
+    options = RecoverOptions(pairs=(("band 0", "band 1"), ("band 2", "band 3")))
+    short = prepared(bands, Plane(), options)
+    # 12 windows of either pair, no TDI: no band sees 20, which are needed, but the images do
+    checked(short, options)
+    found = windows_in_common(short, options)
+    assert found.clear == found.seen == 24.0 and found.clear_of == (12.0,) * 4
 
 
 def test_one_image_given_as_two_is_refused(strip):

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from motion.strips import strip_cameras
 from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
+from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import LOW_SCORE, OUTSIDE
+from sightline.motion.band import Band
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.strip import RecoverOptions, prepared
@@ -20,6 +23,7 @@ from sightline.motion.strip.warnings import (
     _far_off,
     _hidden_by_stages,
     _large_hidden,
+    _why_unmatched,
     compared_through,
     out_of_step,
 )
@@ -70,6 +74,24 @@ def test_stages_that_do_not_follow_the_ground_are_named(period: float, smear: st
     said = out_of_step(strip)
     assert len(said) == (0 if smear is None else 4)
     assert all("smears over " in one and smear in one and "4 TDI stages" in one for one in said)
+
+
+@pytest.mark.parametrize(("columns", "said"), [(16, False), (100, True)])
+def test_changes_of_stages_are_said_of_the_windows_that_were_used(columns: int, said: bool) -> None:
+    shape = (600, 400)
+    rng = np.random.default_rng(0)
+    # stages that change every 20 columns: between two changes lies a window of 16 columns, none of
+    # 100, nor of a quarter of that
+    stages = np.where((np.arange(shape[1]) // 20) % 2 == 0, 16, 32)[None]
+    bands = [
+        Band(f"band {k}", ArrayImage(rng.standard_normal(shape)), replace(camera, stages=stages))
+        for k, camera in enumerate(strip_cameras((0.0, -83.0), *shape))
+    ]
+    # the searching pass had windows of the other width
+    options = RecoverOptions(first_window=(10, 116 - columns), window=(4, columns))
+    strip = prepared(bands, Plane(0.0), options)
+    found = _why_unmatched(strip, 1, np.array([], dtype=int), options)
+    assert found.startswith("nearly all of its windows lie across" if said else "check its `look_ahead`")
 
 
 def test_hidden_modes_too_large_for_their_blur_are_named_with_axis_frequency_and_size() -> None:

@@ -205,8 +205,9 @@ class CommonWindows:
 
     Attributes
     ----------
-    seen, whole : float
-        How many have their middle, and all of themselves, in another image.
+    seen, whole, clear : float
+        How many have their middle, and all of themselves, in another image; and how many of the first lie in
+        neither of the two across a change of TDI stages.
     side_by_side : int
         Most that one row has of the former.
     rows : float
@@ -214,11 +215,12 @@ class CommonWindows:
     whole_of : tuple of float
         Of each band: windows that lie whole in it and in another.
     clear_of : tuple of float
-        Of each band: windows seen in it and in another, in neither of them across a change of TDI stages.
+        Of each band: those of `clear` that are seen in it.
     """
 
     seen: float
     whole: float
+    clear: float
     side_by_side: int
     rows: float
     whole_of: tuple[float, ...]
@@ -233,7 +235,7 @@ def windows_in_common(
     plan = strip.plan(options, window, step)
     shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
     hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
-    common, inside_all, side_by_side, rows = 0.0, 0.0, 0, 0.0
+    common, inside_all, clear_all, side_by_side, rows = 0.0, 0.0, 0.0, 0, 0.0
     whole_of, clear_of = np.zeros((2, len(strip.bands)))
     for hub, partners, grid in hubs:
         asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
@@ -255,11 +257,12 @@ def windows_in_common(
             whole_of[image] += share * float(inside.sum())
         common += share * float(seen.sum())
         inside_all += share * float(whole.sum())
+        clear_all += share * float(clear.sum())
         whole_of[hub] += share * float(whole.sum())
         clear_of[hub] += share * float(clear.sum())
         side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
     of_bands = tuple(whole_of.tolist()), tuple(clear_of.tolist())
-    return CommonWindows(common, inside_all, side_by_side, rows, *of_bands)
+    return CommonWindows(common, inside_all, clear_all, side_by_side, rows, *of_bands)
 
 
 def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
@@ -274,9 +277,9 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
             "are needed; give longer images (more lines than the longest lag), or smaller windows: "
             "[matching] first_window"
         )
-    if max(found.clear_of) < FEWEST_WINDOWS:
+    if found.clear < FEWEST_WINDOWS:
         raise EstimationError(
-            f"{max(found.clear_of):.0f} of {common:.0f} windows lie between two changes of TDI stages, and "
+            f"{found.clear:.0f} of {common:.0f} windows lie between two changes of TDI stages, and "
             f"none across one is matched; {FEWEST_WINDOWS} are needed; let `stages` change less often from "
             "column to column ([choice] hysteresis of TDI.toml), or give narrower windows: [matching] "
             "first_window, window"

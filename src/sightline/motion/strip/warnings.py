@@ -216,7 +216,7 @@ def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray((kept >= FEWEST_KEPT) & (kept >= LEAST_SHARE * tried))
 
 
-def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
+def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: RecoverOptions) -> list[str]:
     """Bands none of whose pairs keeps enough windows, and the one mistake that is why where there is one."""
     compared, kept = _pairs_compared(records, len(strip.bands))
     alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
@@ -234,7 +234,7 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
             lost = np.array([b for b in lost if strip.bands[b].name not in names], dtype=int)
     return out + [
         f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
-        f"nothing measures its place; {_why_unmatched(strip, int(b), matched)}"
+        f"nothing measures its place; {_why_unmatched(strip, int(b), matched, options)}"
         for b in lost
     ]
 
@@ -277,10 +277,10 @@ def compared_through(records: Sequence[StarRecord], bands: int) -> NDArray[np.fl
     return tried / max(of_all, 1)
 
 
-def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
+def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp], options: RecoverOptions) -> str:
     """The one mistake without which it would match, where matches prove it; else what to check."""
     if any(band.camera.stages is not None for band in strip.bands):
-        common = windows_in_common(strip, RecoverOptions())
+        common = windows_in_common(strip, options, options.window, options.step)
         if common.clear_of[lost] < FEWEST_KEPT <= common.whole_of[lost]:
             return (
                 "nearly all of its windows lie across a change of TDI stages, in it or in the other band: "
@@ -410,11 +410,13 @@ def strip_warnings(
     motion: Motion,
     observed: NDArray[np.bool_],
     changes: list[float],
+    options: RecoverOptions,
     left: float = 1.0,
 ) -> tuple[str, ...]:
     """What a user should know before trusting the numbers.
 
-    `left`: share of the last of the `changes` that was left for a pass that is not among them.
+    `options`: with the windows of the last pass. `left`: share of the last of the `changes` that was left for
+    a pass that is not among them.
     """
     out = []
     if changes and left * changes[-1] > 1.0:
@@ -427,7 +429,7 @@ def strip_warnings(
         )
         if all(band.offset_sigma_px == 0.0 for band in strip.bands):
             out.append("band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not")
-    out += _unmatched_bands(strip, state.records)
+    out += _unmatched_bands(strip, state.records, options)
     lost = _lost_windows(state.records)
     if lost:
         out.append(lost)
