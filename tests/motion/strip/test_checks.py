@@ -8,13 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from motion.strips import ALTITUDE, PERIOD, strip_cameras
+from motion.strips import ALTITUDE, IFOV, PERIOD, strip_cameras
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
+from sightline.geometry.conjugate import predict_match
+from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
+from sightline.motion.measure.plan import hub_windows
 from sightline.motion.sensors import ControlSightings
 from sightline.motion.strip.checks import (
     check_images,
@@ -24,7 +27,7 @@ from sightline.motion.strip.checks import (
     windows_in_common,
 )
 from sightline.motion.strip.hyper import KnownContent
-from sightline.motion.strip.strip import RecoverOptions, prepared
+from sightline.motion.strip.strip import RecoverOptions, Strip, prepared, suited
 from sightline.motion.strip.warnings import _factor_words
 
 SHAPE = (401, 220)
@@ -38,6 +41,26 @@ def strip():
         Band(f"band {k}", ArrayImage(rng.standard_normal(SHAPE)), camera) for k, camera in enumerate(cameras)
     ]
     return prepared(bands, Plane(), RecoverOptions())
+
+
+def beside_coarse(columns: int, coarse: int, lines: int = 2400) -> list[Band]:
+    """Two bands of one field of view, whose pixels are as many times as large as their columns are few."""
+    first, second = strip_cameras((0.0, -83.0), lines, columns)
+    if coarse < columns:
+        ratio = columns / coarse
+        detector = LineDetector.from_ifov("coarse", coarse, ratio * IFOV, ratio * PERIOD)
+        second = replace(second, detector=detector, lines=int(lines / ratio))
+    shapes = (first.lines, first.columns), (second.lines, second.columns)
+    return [
+        Band(f"band {k}", ArrayImage(np.zeros(shape)), camera)
+        for k, (shape, camera) in enumerate(zip(shapes, (first, second), strict=True))
+    ]
+
+
+def ready(bands: list[Band], asked) -> tuple[Strip, RecoverOptions]:
+    """What recovery begins with, for options that were asked for."""
+    options = suited(RecoverOptions(**asked, asked=tuple(asked)), bands, Plane())
+    return checked(prepared(bands, Plane(), options), options), options
 
 
 def refused(strip, options=None) -> str:
@@ -176,6 +199,41 @@ class TestWindows:
         with pytest.raises(EstimationError, match=r"band 0 has 40 columns.*first_window = \[10, 20\]"):
             checked(narrow, RecoverOptions())
         checked(narrow, RecoverOptions(first_window=(10, 20), window=(4, 20)))
+
+    @pytest.mark.parametrize(("columns", "coarse", "half"), [(160, 40, 20), (188, 47, 23), (30, 30, 15)])
+    def test_what_the_first_error_says_of_narrow_bands_leads_to_a_run(self, columns, coarse, half):
+        # windows that nobody asked for are of 48 columns, more than the narrow band has
+        bands = beside_coarse(columns, coarse)
+        said = rf"band 1 has {coarse} columns, .*first_window = \[10, {half}\], window = \[4, {half}\]"
+        if columns == coarse:
+            said = said.replace("band 1", "band 0")
+        for asked in ({}, {"first_window": (10, coarse)}, {"step": 5}):
+            with pytest.raises(EstimationError, match=said):
+                ready(bands, asked)
+        ready(bands, {"first_window": (10, half), "window": (4, half)})
+
+    def test_sizes_are_compared_in_pixels_of_the_finest(self):
+        # 100 columns and 300 lines of four pixels of the other each
+        bands = beside_coarse(400, 100, lines=1200)
+        for asked in ({"window": (4, 120)}, {"first_window": (10, 120)}, {"search_px": (8, 101)}):
+            ready(bands, asked)
+        said = r".* the smallest image has 1200 lines and 400 columns in pixels of the finest: at most"
+        for key, more in (("window", (4, 401)), ("first_window", (1201, 100)), ("step", 1201)):
+            with pytest.raises(InputError, match=f"`{key}`{said}"):
+                ready(bands, {key: more})
+
+    def test_a_window_lies_whole_in_a_finer_image_with_all_of_its_pixels_there(self):
+        bands = beside_coarse(400, 100, lines=600)
+        strip, options = ready(bands, {})
+        shapes = [band.image.shape for band in bands]
+        plan = strip.plan(options, options.first_window, 2 * options.first_window[0])
+        ((hub, _, grid),) = hub_windows(strip.nominal, Plane(), shapes, strip.order, plan)
+        assert hub == 1 and grid.window == (2, 25)
+        line = predict_match(bands[1].camera, bands[0].camera, Plane(), grid.centres)[:, 0]
+        # two lines are eight there; a pixel beyond the image does not matter
+        whole, seen = ((line >= edge) & (line <= 599.0 - edge) for edge in (4.0 - 1.0, 0.0))
+        found = windows_in_common(strip, options)
+        assert found.whole == whole.sum() < seen.sum() == found.seen
 
     def test_features_outside_every_image_are_refused(self, strip):
         for outside in ([[500.0, 10.0], [10.0, -3.0]], [[10.0, -3.0], [400.0, 220.0]], [[401.0, 5.0]]):

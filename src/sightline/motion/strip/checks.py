@@ -17,12 +17,12 @@ from sightline.execution import slices
 from sightline.imaging.source import ImageSource
 from sightline.matching.on_geometry import within
 from sightline.motion.band import Band
-from sightline.motion.measure.laid_strips import size_in_partner
+from sightline.motion.measure.laid_strips import ratio_to_finest, size_in_partner
 from sightline.motion.measure.plan import hub_windows, mixed_stages
 from sightline.motion.measure.windows import WindowGrid, predict_windows
 from sightline.motion.sensors import AttitudeSensor
 from sightline.motion.strip.hyper import FEWEST_ROWS, KnownContent
-from sightline.motion.strip.strip import RecoverOptions, Strip
+from sightline.motion.strip.strip import RecoverOptions, Strip, window_columns
 
 Array = NDArray[Any]
 
@@ -183,20 +183,23 @@ def _check_stages(strip: Strip) -> None:
 
 
 def _check_windows(strip: Strip, options: RecoverOptions) -> None:
-    """Windows, steps and searches fit in the smallest image."""
-    shape = np.min([band.image.shape for band in strip.bands], axis=0)
-    size = f"the smallest image has {shape[0]} lines and {shape[1]} columns"
-    usual = RecoverOptions()
+    """Windows, steps and searches fit in every image; they are given in pixels of the finest."""
+    ratios = np.array([ratio_to_finest(strip.nominal, band) for band in range(len(strip.bands))])
+    shapes = [band.image.shape for band in strip.bands]
+    lines, columns = np.floor((ratios * shapes).min(axis=0) + 1e-6).astype(int).tolist()
+    size = f"the smallest image has {lines} lines and {columns} columns"
+    size += " in pixels of the finest" if (ratios != 1.0).any() else ""
+    usual = RecoverOptions().window[1], window_columns(strip.bands)
     for key in ("first_window", "window", "search_px"):
         given = getattr(options, key)
-        # windows of the usual width are narrowed to a narrow detector's line
-        narrowed = key not in ("search_px", *options.asked) and given[1] == getattr(usual, key)[1]
-        if given[0] > shape[0] or (given[1] > shape[1] and not narrowed):
+        # windows that nobody asked for are narrowed to a narrow detector's line
+        narrowed = key not in ("search_px", *options.asked) and given[1] in usual
+        if given[0] > lines or (given[1] > columns and not narrowed):
             raise InputError(
-                f"`{key}` of [matching] is {list(given)}; {size}: at most [{shape[0]}, {shape[1]}] is allowed"
+                f"`{key}` of [matching] is {list(given)}; {size}: at most [{lines}, {columns}] is allowed"
             )
-    if options.step > shape[0]:
-        raise InputError(f"`step` of [matching] is {options.step}; {size}: at most {shape[0]} is allowed")
+    if options.step > lines:
+        raise InputError(f"`step` of [matching] is {options.step}; {size}: at most {lines} is allowed")
 
 
 @dataclass(frozen=True)
@@ -252,7 +255,7 @@ def windows_in_common(
             clear |= matched
             clear_of[image] += share * float(matched.sum())
             rows = max(rows, share * float((here.reshape(some.shape).sum(axis=1) >= 2).sum()))
-            inside = within(found.b, shapes[image], np.array(grid.window) / 2.0 - 1.0)
+            inside = within(found.b, shapes[image], np.array(size) / 2.0 - 1.0)
             whole |= inside
             whole_of[image] += share * float(inside.sum())
         common += share * float(seen.sum())
@@ -285,8 +288,11 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
             "first_window, window"
         )
     if found.side_by_side < 2:
-        name, columns = min(((b.name, b.image.shape[1]) for b in strip.bands), key=lambda entry: entry[1])
-        (height, width), half = options.first_window, max(columns // 2, 3)
+        narrowest = min(range(len(strip.bands)), key=lambda band: strip.bands[band].image.shape[1])
+        name, columns = strip.bands[narrowest].name, strip.bands[narrowest].image.shape[1]
+        height, half = options.first_window[0], max(columns // 2, 3)
+        plan = strip.plan(options, options.first_window, height)
+        width = min(plan.coarser(ratio_to_finest(strip.nominal, narrowest)).window[1], columns)
         raise EstimationError(
             f"{name} has {columns} columns, and no row holds two windows of {width} columns side by side, "
             f"from which yaw is estimated: {2 * width} columns in common are needed, or narrower windows: "
