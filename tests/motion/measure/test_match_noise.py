@@ -234,12 +234,37 @@ class TestCorrelation:
         # errors of a size to 15 %, and no long sums but by a chance of 1 in 40
         assert np.quantile(alone, 0.9) < 1.4
 
-    def test_a_pair_without_any_match_leaves_the_start_value(self):
+    @pytest.mark.parametrize("matched", [0, 3, 5])
+    def test_a_pair_with_hardly_any_match_errs_as_the_others_do(self, matched):
         star = plain_star(400, 8, 2, SIGMA)
-        residuals = drawn(star, 9)
-        residuals[:, 1] = np.nan
-        nothing = star.with_weight(star.weight * [1.0, 0.0])
-        assert_allclose(estimate_correlation(nothing, residuals), shared_image_correlation(2))
+        # errors of twice the claimed sigma, two rows alike: long means err by nearly eight times the variance
+        post = 2.0 * np.repeat(drawn(star, 9).reshape(400, 8, 2, 2)[::2], 2, axis=0).reshape(-1, 2, 2)
+        post[matched:, 1] = np.nan
+        alone = plain_star(400, 8, 1, SIGMA)
+        own = estimate_correlation(alone, post[:, :1])
+        got = estimate_correlation(replace(star, residual_px=post), post)
+        assert_allclose(got[:2, :2], own)
+        assert np.diag(own).min() > 6.0
+        if matched < 4:  # no row holds enough to say anything
+            assert_allclose(np.diag(got)[2:], np.diag(own))
+            assert_allclose(np.diag(got[2:, :2]), 0.5 * np.diag(own))
+        else:
+            # a row of five leaves three squares beside ten that are given; three squares are not above 15
+            # times their size but by a chance of 1 in 500
+            size = np.diag(got)[2:] / np.diag(own)
+            assert 10.0 / 13.0 <= size.min() and size.max() < 25.0 / 13.0
+
+    def test_where_most_rows_are_absent_chance_is_not_taken_for_errors_that_last(self):
+        found = []
+        for seed in range(40):
+            star = plain_star(240, 3, 1, SIGMA)
+            post = drawn(star, seed).reshape(240, 3, 1, 2)
+            post[np.random.default_rng(seed).permutation(240)[:180]] = np.nan
+            post = post.reshape(-1, 1, 2)
+            found.append(np.diag(estimate_correlation(replace(star, residual_px=post), post)))
+        # 60 rows of one square beside ten of the start: sizes to 16 %, three of these; long sums beyond twice
+        # their chance in 1 of 40. Of 80 values 2 are larger, and 1.4 of their scatter four times
+        assert np.mean(np.array(found) > 1.5) < 0.1
 
     def test_the_result_is_a_covariance_even_of_errors_that_are_the_same_in_both_pairs(self):
         star = plain_star(400, 8, 2, SIGMA)

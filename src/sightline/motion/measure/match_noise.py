@@ -80,14 +80,15 @@ class RowScatter:
         return self.freedom.sum(axis=1)
 
     @property
-    def independent(self) -> float:
-        """Degrees of freedom of one weight that would tell as much as all do by their counts."""
-        total = squares = 0.0
+    def independent(self) -> Array:
+        """(2K,) degrees of freedom of one weight that would tell as much as all do by their counts."""
+        total, squares = np.zeros((2, self.z.shape[2]))
         for here in _rows(self.z):
             told = self.counts[here] * self.freedom[here]
-            total, squares = total + float(told.sum()), squares + float((told * self.counts[here]).sum())
+            total += told.sum(axis=(0, 1))
+            squares += (told * self.counts[here]).sum(axis=(0, 1))
             let_go()
-        return total**2 / max(squares, 1e-30)
+        return np.asarray(total**2 / np.maximum(squares, 1e-30))
 
 
 def scatter(star: Star, post_px: Array, least: int = MIN_BLOCKS) -> RowScatter:
@@ -138,15 +139,19 @@ def _about_lines(
 def estimate_correlation(star: Star, post_px: Array) -> Array:
     """Error correlation (2K, 2K) of a star's pairs, rows' long-run correlation included.
 
-    The shared-image start value where the rows hold too few windows, or none of some pair; where they hold
-    few, something between it and what they show.
+    The shared-image start value where the rows hold too few windows of every pair; where they hold few,
+    something between it and what they show. A pair that has too few alone errs as the others do, as far as
+    its own do not say.
     """
     pairs = star.t.shape[1]
     start = shared_image_correlation(pairs)
     found = scatter(star, post_px, least_blocks(star))
-    counted = found.independent / (2 * pairs)
-    if counted < fewest_degrees(star) or not found.freedom.any(axis=(0, 1)).all():
+    own = found.independent
+    enough: NDArray[np.bool_] = np.all((own >= fewest_degrees(star)).reshape(-1, 2), axis=1)
+    if not enough.any():
         return start
+    told = np.repeat(enough, 2)
+    counted = float(own[told].mean())
     # what rows err by is what their good matches err by: of noisy ones, which count for little in the motion,
     # the matcher's sigma may be wrong by another factor
     v, root = found.z, found.freedom
@@ -159,26 +164,29 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
         v[here], root[here] = v[here] * size, np.sqrt(root[here]) * size
         let_go()
 
-    def covariance(shift: int) -> Array:
+    def covariance(shift: int) -> tuple[Array, float]:
         total, both = np.zeros((2 * pairs, 2 * pairs)), np.zeros((2 * pairs, 2 * pairs))
         for here in _rows(v[shift:], SUMMED):
             later = slice(here.start + shift, here.stop + shift)
             both += np.einsum("rbi,rbj->ij", root[here], root[later])
             total += np.einsum("rbi,rbj->ij", v[here], v[later])
             let_go()
-        return np.asarray(total / np.maximum(both, 1.0))
+        return np.asarray(total / np.maximum(both, 1.0)), float(np.diag(both)[told].sum())
 
-    total = plain = covariance(0)
-    overlapping = _overlapping(star)
+    plain, products = covariance(0)
+    long, chance = _long_run(plain, covariance, counted / products, _overlapping(star))
+    usual = np.sqrt(np.diag(plain)[told].reshape(-1, 2).mean(axis=0))
+    share = np.where(told, 1.0, np.sqrt(own / (own + START_COUNTS)))
+    given = start * np.outer(np.tile(usual, pairs), np.tile(usual, pairs))
+    plain = np.outer(share, share) * plain + (1.0 - np.outer(share, share)) * given
     if counted < PLENTY:
-        total = (counted * total + START_COUNTS * start) / (counted + START_COUNTS)
-        long, chance = _long_run(plain, covariance, len(v), len(v), overlapping)
-        grown = np.sqrt(_believed_ratio(long, plain, chance))
+        total = (counted * plain + START_COUNTS * start) / (counted + START_COUNTS)
+        grown = np.sqrt(_believed_ratio(long, plain, chance, enough))
         total = total * np.outer(grown, grown)
         # of pairs that are not seen in the same windows: no covariance of anything, it may be
         return _definite(total, np.sqrt(np.diag(total)))
     scale = np.sqrt(np.diag(plain))
-    total = _steadied(plain, *_long_run(plain, covariance, len(v), counted, overlapping))
+    total = _steadied(plain, long, chance, enough)
     total = total * np.outer(beside, beside)
     scale = scale * beside
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
@@ -193,7 +201,7 @@ def _overlapping(star: Star) -> int:
 
 
 def _long_run(
-    plain: Array, covariance: Callable[[int], Array], rows: int, independent: float, overlapping: int
+    plain: Array, covariance: Callable[[int], tuple[Array, float]], independent: float, overlapping: int
 ) -> tuple[Array, float]:
     """Covariance (2K, 2K) of long means of rows by Bartlett's weights, and its scatter by chance as a share.
 
@@ -204,24 +212,26 @@ def _long_run(
     plain : (2K, 2K)
         Of single rows.
     covariance : callable
-        Of single rows with what lies so many rows on, (2K, 2K).
-    rows : int
+        Of single rows with what lies so many rows on, (2K, 2K), and how many products it is of.
     independent : float
-        How many values of each component the sums are of.
+        Independent values of one component to one of these products.
     overlapping : int
         Later rows with which a row shares pixels.
     """
-    lags, total = min(ROW_LAGS, rows - 1), plain
-    for shift in range(1, max(lags, overlapping) + 1):
+    total = plain
+    squares = 2.0 / (independent * covariance(0)[1])
+    for shift in range(1, max(ROW_LAGS, overlapping) + 1):
+        step, products = covariance(shift)
+        if products <= 0.0:  # beyond the last row, or between rows that are all absent
+            continue
         weight = 1.0 if shift <= overlapping else 1.0 - shift / (ROW_LAGS + 1.0)
-        step = covariance(shift) * weight
-        total = total + step + step.T
-    # sums with weights w scatter by 2 (1 + 2 sum w^2) squares: Bartlett's, and what full weights add to them
-    full = sum(1.0 - max(1.0 - shift / (ROW_LAGS + 1.0), 0.0) ** 2 for shift in range(1, overlapping + 1))
-    return total, float(np.sqrt((4.0 / 3.0 * (lags + 1.0) + 4.0 * full) / independent))
+        total = total + weight * (step + step.T)
+        # a mean of products, twice
+        squares += 4.0 * weight**2 / (independent * products)
+    return total, float(np.sqrt(squares))
 
 
-def _steadied(plain: Array, long: Array, chance: float) -> Array:
+def _steadied(plain: Array, long: Array, chance: float, enough: NDArray[np.bool_]) -> Array:
     """Covariance (2K, 2K) of long means, in place of one of which the sums of few rows are mostly chance.
 
     Parameters
@@ -230,6 +240,8 @@ def _steadied(plain: Array, long: Array, chance: float) -> Array:
         Of single rows, and of long means as sums of rows have it.
     chance : float
         By how much the variances of `long` scatter, as a share.
+    enough : (K,)
+        Pairs of which `long` is believed so far; the others have the mean.
 
     Notes
     -----
@@ -237,16 +249,18 @@ def _steadied(plain: Array, long: Array, chance: float) -> Array:
     pairs differ by no more than chance (James and Stein), they have the mean of all.
     """
     ratio = (np.diag(long) / np.diag(plain)).reshape(-1, 2)  # along lines, along columns
-    mean = ratio.mean(axis=0)
-    spread = float(np.mean((ratio / mean - 1.0) ** 2)) * len(ratio) / max(len(ratio) - 1, 1)
-    believed = max(0.0, 1.0 - chance**2 / spread) if spread > 0.0 else 0.0
-    size = np.sqrt(np.maximum(mean + believed * (ratio - mean), LEAST_SHARE).ravel() * np.diag(plain))
+    mean, number = ratio[enough].mean(axis=0), int(enough.sum())
+    spread = float(np.mean((ratio[enough] / mean - 1.0) ** 2)) * number / max(number - 1, 1)
+    believed = np.where(enough, max(0.0, 1.0 - chance**2 / spread) if spread > 0.0 else 0.0, 0.0)
+    ratio = mean + believed[:, None] * (ratio - mean)
+    size = np.sqrt(np.maximum(ratio, LEAST_SHARE).ravel() * np.diag(plain))
 
     def correlation(c: Array) -> Array:
         own = np.sqrt(np.maximum(np.diag(c), LEAST_SHARE * np.diag(plain)))
         return np.asarray(c / np.outer(own, own))
 
-    both = believed * correlation(long) + (1.0 - believed) * correlation(plain)
+    trust = np.repeat(np.minimum.outer(believed, believed), 2, axis=0).repeat(2, axis=1)
+    both = trust * correlation(long) + (1.0 - trust) * correlation(plain)
     return np.asarray(both * np.outer(size, size))
 
 
@@ -301,10 +315,14 @@ def plain_variance(star: Star, post_px: Array) -> Array:
     return np.where(enough, (squares + given) / np.maximum(counted + given, 1.0), 1.0)
 
 
-def _believed_ratio(long: Array, plain: Array, chance: float) -> Array:
-    """(2K,) variance of long means over that of single rows, for few rows: 1 where chance makes as much."""
+def _believed_ratio(long: Array, plain: Array, chance: float, enough: NDArray[np.bool_]) -> Array:
+    """(2K,) variance of long means over that of single rows, for few rows: 1 where chance makes as much.
+
+    Pairs (K,) that have not `enough` rows have the mean of those that do.
+    """
     ratio = np.diag(long) / np.maximum(np.diag(plain), 1e-30)
-    return np.where(ratio > 1.0 + BEYOND_CHANCE * chance, ratio, 1.0)
+    ratio = np.where(ratio > 1.0 + BEYOND_CHANCE * chance, ratio, 1.0).reshape(-1, 2)
+    return np.where(enough[:, None], ratio, ratio[enough].mean(axis=0)).ravel()
 
 
 def _error_beside(v: Array) -> Array:
