@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from motion.strips import PERIOD, plain_star
 from sightline.motion.measure.match_noise import (
     estimate_correlation,
+    least_blocks,
     plain_variance,
     robust_weights,
     row_weights,
@@ -216,6 +217,30 @@ class TestCorrelation:
         # one degree of freedom per row, ten of the start value; sqrt(2 / 88) each, and twice by chance
         expected = (88 * 1.8 + 10.0) / 98.0
         assert np.mean(found) == pytest.approx(expected, rel=5.0 * np.sqrt(2.0 / (88 * 48)) + 0.05)
+
+    def test_rows_of_which_water_leaves_three_windows_tell_the_size_of_errors_too(self):
+        found = []
+        for seed in range(12):
+            star = plain_star(175, 6, 2, SIGMA)
+            post = np.sqrt(1.8) * drawn(star, seed).reshape(175, 6, 2, 2)
+            post[:, 3:] = np.nan
+            # now and then a window of the shore
+            post[::4, 3] = post[1::4, 2]
+            post = post.reshape(-1, 2, 2)
+            found.append(np.diag(estimate_correlation(replace(star, residual_px=post), post)))
+        # 48 values of one degree of freedom per row at least, whose sums over eight rows scatter by
+        # sqrt(4/3 * 9 / 175) = 26 %; five of their means
+        assert np.mean(found) == pytest.approx(1.8, rel=5.0 * 0.26 / np.sqrt(48))
+
+    @pytest.mark.parametrize(
+        ("held", "least"), [((6, 6, 6), 4), ((3, 3, 6), 3), ((3, 6, 6), 4), ((3, 2, 1), 3), ((2, 1, 4), 4)]
+    )
+    def test_three_windows_tell_of_errors_where_most_rows_that_do_hold_no_more(self, held, least):
+        star = plain_star(30, 6, 1, SIGMA)
+        post = np.zeros((30, 6, 1, 2))
+        for row in range(30):
+            post[row, held[row % 3] :] = np.nan
+        assert least_blocks(replace(star, residual_px=post.reshape(-1, 1, 2))) == least
 
     def test_of_few_rows_errors_that_last_are_found_and_chance_is_not_taken_for_them(self):
         rng = np.random.default_rng(5)

@@ -28,12 +28,14 @@ from sightline.writing import let_go, scratch_array
 
 Array = NDArray[np.float64]
 
-#: Rows of windows need this many blocks to tell error from motion; where no row has more, three do, which
+#: Rows of windows need this many blocks to tell error from motion; where most have no more, three do, which
 #: leave one degree of freedom each.
 MIN_BLOCKS, LEAST_BLOCKS = 4, 3
-#: Degrees of freedom per component from which errors are learned of rows of three windows, from which they
-#: are learned to the full, and what the start value counts for among fewer.
-FEWEST, PLENTY, START_COUNTS = 40.0, 100.0, 10.0
+#: Degrees of freedom per component from which errors are learned to the full, and what the start value counts
+#: for among fewer.
+PLENTY, START_COUNTS = 100.0, 10.0
+#: Degrees of freedom from which they are learned at all, of rows of so many windows at least.
+FEWEST = {LEAST_BLOCKS: 40.0, MIN_BLOCKS: PLENTY}
 #: Of few rows, a correlation from row to row is believed where it is so many times what chance makes.
 BEYOND_CHANCE = 2.0
 #: Rows on either side over which the scatter of rows is averaged before it is compared with the usual one.
@@ -145,9 +147,10 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     """
     pairs = star.t.shape[1]
     start = shared_image_correlation(pairs)
-    found = scatter(star, post_px, least_blocks(star))
+    least = least_blocks(star)
+    found = scatter(star, post_px, least)
     own = found.independent
-    enough: NDArray[np.bool_] = np.all((own >= fewest_degrees(star)).reshape(-1, 2), axis=1)
+    enough: NDArray[np.bool_] = np.all((own >= FEWEST[least]).reshape(-1, 2), axis=1)
     if not enough.any():
         return start
     told = np.repeat(enough, 2)
@@ -293,13 +296,10 @@ def _definite(total: Array, scale: Array) -> Array:
 
 
 def least_blocks(star: Star) -> int:
-    """Windows that a row of the star must hold to tell of errors."""
-    return LEAST_BLOCKS if star.shape[1] == LEAST_BLOCKS else MIN_BLOCKS
-
-
-def fewest_degrees(star: Star) -> float:
-    """Degrees of freedom per component from which the errors of a star are learned."""
-    return FEWEST if star.shape[1] == LEAST_BLOCKS else PLENTY
+    """Windows that a row of the star must hold to tell of errors: three where most rows have no more."""
+    held = star.present.reshape(*star.shape, -1).sum(axis=1)
+    more, three = int((held >= MIN_BLOCKS).sum()), int((held == LEAST_BLOCKS).sum())
+    return LEAST_BLOCKS if three > more else MIN_BLOCKS
 
 
 def plain_variance(star: Star, post_px: Array) -> Array:
@@ -307,11 +307,12 @@ def plain_variance(star: Star, post_px: Array) -> Array:
 
     Ones where the rows hold too few windows; among few, one counts as START_COUNTS of them.
     """
-    found = scatter(star, post_px, least_blocks(star))
+    least = least_blocks(star)
+    found = scatter(star, post_px, least)
     counted = found.degrees.sum(axis=0)
     squares = np.nansum(np.clip(found.z, -CLIP, CLIP) ** 2, axis=(0, 1))
     given = np.where(counted < PLENTY, START_COUNTS, 0.0)
-    enough = counted >= fewest_degrees(star)
+    enough = counted >= FEWEST[least]
     return np.where(enough, (squares + given) / np.maximum(counted + given, 1.0), 1.0)
 
 
