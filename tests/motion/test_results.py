@@ -96,6 +96,14 @@ def test_figures_are_of_the_kept_windows_only(result):
     assert_allclose(first.lag, 0.02)
 
 
+def test_residuals_are_compared_with_what_single_matches_err_by(result):
+    # long means feel four times the variance claimed, single matches have twice along lines and half across
+    (record,) = result.records
+    single = np.tile(np.diag([2.0, 0.5]), (2, 1, 1))
+    first, _ = replace(result, records=(replace(record, star=replace(record.star, single=single)),)).pairs
+    assert_allclose(first.sigma_px, 0.1 * np.sqrt((2.0 + 0.5) / 2.0))
+
+
 def test_a_pair_without_matches_has_no_figures(result):
     _, second = result.pairs
     assert (second.images, second.tried, second.kept) == ((0, 2), 0, 0)
@@ -104,6 +112,7 @@ def test_a_pair_without_matches_has_no_figures(result):
 
 def test_pairs_of_a_rendered_strip_leave_what_their_errors_allow(recovery):
     result: SimpleNamespace = recovery.result
+    assert all(record.star.single is not None for record in result.records)
     for pair in result.pairs:
         assert pair.kept + sum(pair.rejected.values()) == pair.tried
         # the fit takes some of the errors away (a tenth, of hundreds of windows per node), weights of 3 to 5

@@ -40,6 +40,7 @@ from sightline.imaging.rasters import CACHE_MIB, raster_cache
 from sightline.imaging.source import in_memory
 from sightline.matching.matches import NOT_CHOSEN, OUTSIDE, STATUS_NAMES
 from sightline.motion.band import Band
+from sightline.motion.measure.match_noise import single_errors
 from sightline.motion.measure.pair_order import best_first, pair_correlations
 from sightline.motion.measure.plan import MatchingPlan, hub_windows
 from sightline.motion.measure.stars import StarRecord, learned_filters, match_star
@@ -766,11 +767,12 @@ def _result(
     )
     observed = observed_lines(strip, state, t) if fit is None else controlled_lines(strip, fit, t)
     cameras = tuple(strip.body_cameras(estimate.nodes, estimate.statics))
+    stars = [record.star for record in state.records]
+    singles = single_errors(stars, state.post_px)
+    stars = [turned_star(replace(s, single=one), turn) for s, one in zip(stars, singles, strict=True)]
     records = tuple(
-        without_common_ground(
-            replace(r, star=turned_star(r.star, turn)), cameras, strip.surface, options.window
-        )
-        for r in state.records
+        without_common_ground(replace(r, star=s), cameras, strip.surface, options.window)
+        for r, s in zip(state.records, stars, strict=True)
     )
     for camera in cameras:
         if isinstance(camera, PushbroomCamera):

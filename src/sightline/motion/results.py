@@ -57,7 +57,7 @@ class PairResiduals:
     rms_before_px, rms_after_px : float
         Of both components over the kept windows: against the nominal cameras, and after the estimate.
     sigma_px : float
-        What the error model expects of the latter.
+        What the error model expects of the latter: of single matches, whatever rows and neighbours share.
     """
 
     images: tuple[int, int]

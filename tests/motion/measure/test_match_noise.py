@@ -12,10 +12,10 @@ from motion.strips import PERIOD, plain_star
 from sightline.motion.measure.match_noise import (
     estimate_correlation,
     least_blocks,
-    plain_variance,
     robust_weights,
     row_weights,
     scatter,
+    single_errors,
 )
 from sightline.motion.measure.observations import Star, shared_image_correlation
 
@@ -397,16 +397,45 @@ def test_the_variance_of_single_matches_is_that_within_rows(rows, blocks, start)
     lasting = drawn(star, 3).reshape(rows, blocks, 1, 2)
     # alike in eight rows: sums over rows grow, single matches do not
     lasting = np.sqrt(2.0) * np.repeat(lasting[::8], 8, axis=0)[:rows]
-    found = plain_variance(star, lasting.reshape(-1, 1, 2) + row_motion(star, 4))
+    (found,) = single_errors([star], [lasting.reshape(-1, 1, 2) + row_motion(star, 4)])
     degrees = rows * (blocks - 2)
     expected = (degrees * 2.0 + start) / (degrees + start)
     # an eighth of the rows are independent; five of their sigma
-    assert_allclose(found, expected, rtol=5.0 * np.sqrt(2.0 / (degrees / 8)))
+    chance = 5.0 * np.sqrt(2.0 / (degrees / 8))
+    assert_allclose(found[0], expected * np.eye(2), atol=chance * expected)
 
 
 def test_too_few_windows_leave_the_variance_that_the_matcher_claims():
     star = plain_star(30, 3, 1, SIGMA)
-    assert plain_variance(star, 3.0 * drawn(star, 0)).tolist() == [1.0, 1.0]
+    (found,) = single_errors([star], [3.0 * drawn(star, 0)])
+    assert_allclose(found, np.eye(2)[None])
+    # where there are others, it is theirs: of one whose errors have four times the variance claimed
+    other = plain_star(1500, 8, 2, SIGMA)
+    post = 2.0 * drawn(other, 1)
+    post[:, 1] = np.nan
+    few, both = single_errors([star, other], [3.0 * drawn(star, 0), post])
+    # 9000 degrees: sqrt(2 / 9000) = 1.5 %, four of these
+    assert_allclose(both[0], 4.0 * np.eye(2), atol=0.06 * 4.0)
+    assert_allclose(both[1], both[0])
+    assert_allclose(few[0], both[0])
+
+
+def test_what_single_matches_err_by_is_along_lines_and_columns_that_of_drawn_ones():
+    # the matcher claims errors that correlate by 0.8; along lines they are twice as large, and what columns
+    # add to that half
+    star = plain_star(3000, 8, 1, SIGMA)
+    claimed = SIGMA**2 * np.array([[1.0, 0.8], [0.8, 1.0]])
+    post = (drawn(star, 5) * [2.0, 0.5]) @ (np.linalg.cholesky(claimed) / SIGMA).T
+    # alike in nine rows: long means err by nine times as much, which is no matter of single matches
+    post = np.repeat(post.reshape(3000, 8, 1, 2)[::9], 9, axis=0)[:3000].reshape(-1, 1, 2)
+    star = replace(star, covariance_px=np.tile(claimed, (24000, 1, 1, 1)))
+    (single,) = single_errors([star], [post])
+    found = replace(star, single=single).error_variance(slice(0, 3))
+    expected = SIGMA**2 * np.array([4.0, 0.64 * 4.0 + 0.36 * 0.25])
+    # 18000 degrees, 2000 of them independent: sqrt(2 / 2000) = 3.2 %, four of these
+    assert_allclose(found, np.tile(expected, (3, 1, 1)), rtol=0.13)
+    long = star.with_correlation(estimate_correlation(star, post)).error_variance(slice(0, 3))
+    assert (long > 2.0 * found).all()
 
 
 def test_pairs_that_are_not_seen_together_still_have_a_covariance():

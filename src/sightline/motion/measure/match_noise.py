@@ -10,7 +10,7 @@ Not here: the matcher's own covariance of a single match (``matching/``).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -302,18 +302,36 @@ def least_blocks(star: Star) -> int:
     return LEAST_BLOCKS if three > more else MIN_BLOCKS
 
 
-def plain_variance(star: Star, post_px: Array) -> Array:
-    """Variance (2K,) of single matches in units of the matcher's own, from their scatter within rows.
+def single_errors(stars: Sequence[Star], posts: Sequence[Array]) -> list[Array]:
+    """`Star.single` (K, 2, 2) of each star, from the scatter of its residuals (G, K, 2) px within rows.
 
-    Ones where the rows hold too few windows; among few, one counts as START_COUNTS of them.
+    Pairs of too few windows have the mean of the others; what the matcher claims where there are none.
     """
-    least = least_blocks(star)
+    found = [_scatter_of_pairs(*both) for both in zip(stars, posts, strict=True)]
+    known = np.concatenate([np.empty((0, 2, 2)), *found])
+    known = known[np.isfinite(known).all(axis=(1, 2))]
+    usual = known.mean(axis=0) if len(known) else np.eye(2)
+    return [np.where(np.isnan(each), usual, each) for each in found]
+
+
+def _scatter_of_pairs(star: Star, post_px: Array) -> Array:
+    """(K, 2, 2) scatter of scaled residuals within rows; NaN of pairs whose rows hold too few windows.
+
+    Among few, a value as the matcher claims counts as START_COUNTS of them.
+    """
+    least, pairs = least_blocks(star), star.t.shape[1]
     found = scatter(star, post_px, least)
-    counted = found.degrees.sum(axis=0)
-    squares = np.nansum(np.clip(found.z, -CLIP, CLIP) ** 2, axis=(0, 1))
+    squares = np.zeros((pairs, 2, 2))
+    for here in _rows(found.z, SUMMED):
+        z = np.nan_to_num(np.clip(found.z[here], -CLIP, CLIP)).reshape(-1, pairs, 2)
+        squares += np.einsum("gki,gkj->kij", z, z)
+        let_go()
+    counted = found.degrees.sum(axis=0).reshape(pairs, 2)
+    enough = (counted >= FEWEST[least]).all(axis=1)
+    counted = np.sqrt(counted[:, :, None] * counted[:, None, :])
     given = np.where(counted < PLENTY, START_COUNTS, 0.0)
-    enough = counted >= FEWEST[least]
-    return np.where(enough, (squares + given) / np.maximum(counted + given, 1.0), 1.0)
+    out = (squares + given * np.eye(2)) / np.maximum(counted + given, 1.0)
+    return np.where(enough[:, None, None], out, np.nan)
 
 
 def _believed_ratio(long: Array, plain: Array, chance: float, enough: NDArray[np.bool_]) -> Array:

@@ -69,6 +69,9 @@ class Star:
         matcher's covariance is right, about 1/2 between pairs, which share the hub.
     weight : (G, K)
         Robust weight of each match in [0, 1].
+    single : (K, 2, 2), optional
+        What `correlation` has of single matches of each pair, without what errors that rows or neighbours
+        share add to long means; None: the same.
     brightness : (G,), optional
         Of the brightest part of each window in the hub, in units of the image.
     brightness_elsewhere : (M,), optional
@@ -112,6 +115,7 @@ class Star:
     uneven: NDArray[np.float32] | None = None
     uneven_at: Array | None = None
     chosen: NDArray[np.bool_] | None = None
+    single: Array | None = None
 
     @property
     def longest(self) -> float:
@@ -150,7 +154,7 @@ class Star:
             one.name: value[own]
             for one in fields(self)
             if isinstance(value := getattr(self, one.name), np.ndarray)
-            and one.name not in ("correlation", "uneven_at", "brightness_elsewhere")
+            and one.name not in ("correlation", "single", "uneven_at", "brightness_elsewhere")
         }
         return replace(self, shape=(some.stop - some.start, blocks), **windows)
 
@@ -184,9 +188,16 @@ class Star:
         return replace(self, weight=weight)
 
     def error_variance(self, some: slice | NDArray[np.bool_]) -> Array:
-        """(some, K, 2) px^2; what matches err by along lines and columns, as their scatter shows it."""
-        own = self.covariance_px[some][..., [0, 1], [0, 1]]
-        return np.asarray(own * np.diag(self.correlation).reshape(-1, 2))
+        """(some, K, 2) px^2; what matches err by along lines and columns, as their scatter shows it.
+
+        Single matches where `single` says it, else matches as long means feel them.
+        """
+        scaled, pair = self.single, np.arange(self.t.shape[1])
+        if scaled is None:
+            scaled = self.correlation.reshape(len(pair), 2, -1, 2)[pair, :, pair]
+        l11, l21, l22 = _factor(self.covariance_px[some])
+        c11, c12, c22 = scaled[:, 0, 0], scaled[:, 0, 1], scaled[:, 1, 1]
+        return np.stack([l11**2 * c11, l21**2 * c11 + 2.0 * l21 * l22 * c12 + l22**2 * c22], axis=-1)
 
     def scaled(self) -> Array:
         """Residuals in units of each match's own sigma: (G, 2K), NaN where absent."""

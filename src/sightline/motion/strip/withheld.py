@@ -11,7 +11,7 @@ Not here: the estimate (``estimate.py``, ``joint.py``), the words (``report/``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from statistics import NormalDist
 
@@ -25,7 +25,7 @@ from sightline.matching.match_images import match_images
 from sightline.matching.whitening import Whitening
 from sightline.motion.measure.common_view import Views, common_views, usable
 from sightline.motion.measure.laid_strips import laid_on
-from sightline.motion.measure.match_noise import plain_variance, robust_weights
+from sightline.motion.measure.match_noise import robust_weights, single_errors
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.predict import MovingCamera
 from sightline.motion.measure.stars import StarRecord, learned_filters, match_star
@@ -273,8 +273,9 @@ def compared(
     rows, beside = window_rows(star, strip.grid, block, order, which, _wandering(state, star))
     variance = np.full((len(seen), 2), np.nan)
     variance[seen] = estimate.row_variance(rows, beside).reshape(-1, 2)
-    own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
-    own = own * plain_variance(star, error)
+    (single,) = single_errors([star], [error])
+    own = replace(star, single=single).error_variance(slice(None))[:, 0]
+    own = own / np.where(seen, star.weight[:, 0], np.nan)[:, None]
     shared = _shared(strip, state, star, record.filters[0], cameras)
     whole = np.maximum(own + (1.0 - 2.0 * shared) * variance, LEAST_LEFT * own)
     return Compared(star, error[:, 0], np.sqrt(whole), np.sqrt(variance))
