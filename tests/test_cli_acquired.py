@@ -138,11 +138,13 @@ def test_a_level_flight_is_cut_to_a_shorter_detector(tmp_path, capsys):
         '[platform]\nkind = "level-flight"\naltitude = 600e3\nground_speed = 7000.0\n[instrument]\n'
         'ifov = 5e-6\nline_period = 4e-4\ncolumns = 400\n[[band]]\nname = "A"\nimage = "A.tif"\n'
         '[[band]]\nname = "B"\nimage = "B.tif"\nlook_ahead = -2e-4\n'
+        '[[band]]\nname = "C"\nimage = "C.tif"\nlook_ahead = -3e-4\n'
+        "ifov = 20e-6\nline_period = 16e-4\ncolumns = 100\n"  # four times the pixel: the same time, and field
     )
     out = tmp_path / "out"
-    assert simulated(toml, out, "--lines", "64", "--columns", "48") == 0
+    assert simulated(toml, out, "--lines", "128", "--columns", "48") == 0
     written = load_acquisition(out / "acquisition.toml")
-    assert [image.shape for image in written.images] == [(64, 48)] * 2
+    assert [image.shape for image in written.images] == [(128, 48), (128, 48), (32, 12)]
     assert written.bands[0].camera.detector.tangents[0, 0] == pytest.approx(-23.5 * 5e-6)
 
 

@@ -162,7 +162,10 @@ def strip_cost(bands: Sequence[Band], options: RecoverOptions, surface: Surface 
     the longest lag, which `surface` lets be known: 1,640 lines on nodes two lines apart took some 400 s of
     3,200 lines, on nodes five lines apart 20 s.
     """
-    lines, columns = (max(band.image.shape[axis] for band in bands) for axis in (0, 1))
+    finest = min(band.camera.detector.line_period for band in bands)
+    columns = max(band.image.shape[1] for band in bands)
+    # of the finest image: coarse ones last as many times longer
+    lines = max(round(band.image.shape[0] * band.camera.detector.line_period / finest) for band in bands)
     pairs = len(options.pairs) or len(bands) * (len(bands) - 1) // 2
     pixels = float(lines) * columns * pairs
     (height, width), usual = options.window, 4.0

@@ -137,6 +137,23 @@ def test_a_long_lag_costs_its_square():
     assert (longer - short) / (long - short) == pytest.approx(4.0 * 3401 / 1901, rel=0.02)
 
 
+def test_lines_of_a_coarse_image_cost_as_many_fine_ones_as_they_last():
+    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
+    cameras = late_cameras(0.0, 50.0)
+
+    def seconds(*wide):
+        unlike = [
+            replace(camera, detector=replace(camera.detector, line_period=PERIOD * times))
+            for camera, times in zip(cameras, wide, strict=True)
+        ]
+        bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(unlike)]
+        return strip_cost(bands, RecoverOptions()).seconds
+
+    # less the start alone, which is alike: 12 s
+    assert seconds(1.0, 4.0) - 12.0 == pytest.approx(4.0 * (seconds(1.0, 1.0) - 12.0), rel=1e-9)
+    assert seconds(4.0, 4.0) == pytest.approx(seconds(1.0, 1.0))
+
+
 @pytest.mark.parametrize(
     ("ifov", "period", "what"),
     [

@@ -119,8 +119,16 @@ def test_its_slope_is_that_of_its_value(jumps):
         )
 
 
-def test_jitter_that_rows_tell_of_two_axes_together_is_shared_by_both():
-    # rows tell roll and yaw together to .016 px, apart to .24 and .43: their jitter, .1 px, is in that noise
+#: Spectra of the motion of `jitter_in_noise`, and with a broadband part of another size (px) and time (s).
+JITTER = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.1, 0.0092, "3/2")))
+
+
+def broadband(sigma, timescale=0.0092):
+    return Spectrum((JITTER.components[0], Matern(sigma, timescale, "3/2")))
+
+
+def jitter_in_noise():
+    """Of rows that tell roll and yaw together to .016 px, apart to .24 and .43; they shake by .1 px."""
     rng, count, lag = np.random.default_rng(2), 300, 35
     t = STEP * np.arange(count)
     apart = np.abs(np.subtract.outer(t, t))
@@ -136,17 +144,37 @@ def test_jitter_that_rows_tell_of_two_axes_together_is_shared_by_both():
     change[np.arange(count - lag), np.arange(count - lag) + lag] = 1.0
     rows = np.einsum("rn,ab->ranb", change, whiten).reshape(3 * (count - lag), 3 * count)
     y = (rows @ motion.ravel()) + rng.standard_normal(len(rows))
-    none = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.006, 0.0092, "3/2")))
-    pitch = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.1, 0.0092, "3/2")))
-    found = evidence_of(equations(rows, np.zeros((len(y), 0)), y), 40)
+    return evidence_of(equations(rows, np.zeros((len(y), 0)), y), 40)
 
-    spectra = fit_tied(found, [(none, pitch, none)], (0, 2), (pitch,) * 3)
-    assert spectra[1] is pitch
+
+def test_jitter_that_rows_tell_of_two_axes_together_is_shared_by_both():
+    none = broadband(0.006)
+    spectra = fit_tied(jitter_in_noise(), [(none, JITTER, none)], (0, 2), (JITTER,) * 3)
+    assert spectra[1] is JITTER
     roll, yaw = spectra[0].components[1].sigma, spectra[2].components[1].sigma
     # the sum is known to a sixth of its jitter in each of 265 rows, of which some fifty are independent: to a
     # tenth, three of these; how it is shared is left to what is usual
     assert np.hypot(roll * 0.43, yaw * 0.24) == pytest.approx(0.1 * np.hypot(0.43, 0.24), rel=0.3)
     assert 0.03 < roll < 0.2 and 0.03 < yaw < 0.2
+
+
+def test_noise_that_an_axis_alone_took_for_jitter_is_none_to_both_and_none_gets_louder():
+    found = jitter_in_noise()
+    # as loud as the noise of a row, up to all frequencies
+    white = broadband(0.4, 0.0008)
+    for louder in (True, False):
+        spectra = fit_tied(found, [(white, JITTER, white)], (0, 2), (JITTER,) * 3, louder=louder)
+        roll, yaw = (one.components[1].sigma for one in (spectra[0], spectra[2]))
+        # as well known as in the test before
+        assert np.hypot(roll * 0.43, yaw * 0.24) == pytest.approx(0.1 * np.hypot(0.43, 0.24), rel=0.3)
+        # at half the rate of the rows it began with 370 times the truth
+        for one in (spectra[0], spectra[2]):
+            assert one.psd(np.array([125.0])) < 0.1 * white.psd(np.array([125.0]))
+    none = broadband(0.006)
+    spectra = fit_tied(found, [(none, JITTER, none)], (0, 2), (JITTER,) * 3, louder=False)
+    for one in (spectra[0], spectra[2]):
+        assert one.components[1].sigma <= 0.006 * (1.0 + 1e-9)
+        assert one.components[1].timescale >= 0.0092 * (1.0 - 1e-9)
 
 
 def test_the_search_begins_with_the_best_of_some():

@@ -6,6 +6,7 @@ the platform (``platform.py``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,18 +143,23 @@ def _shape_of_missing(
 ) -> Callable[[BandSection], tuple[int, int] | None] | None:
     """Lines and columns of images that are not there, where these are only described; None otherwise.
 
-    As many lines as the first that is there has, or `UNKNOWN_LINES`; columns as given, or likewise.
+    Lines fill the time of the first image that is there, or of `UNKNOWN_LINES` of the longest; columns as
+    given, or of that image.
     """
     if not files.describing:
         return None
     there = next((band for band in config.band if not files.lacks_file(band.image)), None)
     like = open_image(files(there.image), there.image_band).shape if there is not None else None
+    known = there or max(config.band, key=lambda band: _given(config, band, "line_period") or 0.0)
 
     def shape(band: BandSection) -> tuple[int, int] | None:
         if band.name in files.sizes:
             return files.sizes[band.name]
         columns = _given(config, band, "columns") or (like and like[1])
-        return None if columns is None else (like[0] if like else UNKNOWN_LINES, int(columns))
+        periods = [_given(config, one, "line_period") for one in (known, band)]
+        longer = periods[1] / periods[0] if all(periods) else 1.0
+        lines = math.ceil((like[0] if like else UNKNOWN_LINES) / longer - 1e-9)
+        return None if columns is None else (lines, int(columns))
 
     return shape
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sightline.access import inner_image, located, remote_name
 from sightline.errors import InputError, SightlineError
 from sightline.execution import Step, no_step, part_of
@@ -85,7 +87,8 @@ def read_acquired(options: AcquiredOptions) -> AcquiredFile:
     shapes = [band.camera.shape for band in given.bands]
     if given.absent and config.platform.kind != "camera-model":
         # nothing says how many lines there are
-        shapes = [(max(options.lines, lines), columns) for lines, columns in shapes]
+        longer = max(1.0, options.lines / shapes[0][0])
+        shapes = [(int(np.ceil(lines * longer - 1e-9)), columns) for lines, columns in shapes]
     sizes = cropped(shapes, options.lines, options.columns)
     names = [band.name for band in config.band]
     by_name = (dict(zip(names, of, strict=True)) for of in (shapes, sizes))
