@@ -224,6 +224,20 @@ def test_an_image_is_that_of_one_band(folder):
         load_acquisition(folder.replace('"./PAN.tif"', '"./PAN.tif"\nimage_band = 2').write())
 
 
+def test_a_band_of_an_npy_file_that_has_one_is_refused(folder):
+    np.save(folder.path / "PAN.npy", np.random.default_rng(1).normal(100.0, 9.0, (200, 120)))
+    said = message(folder.replace('"PAN.tif"', '"PAN.npy"\nimage_band = 17'))
+    assert "PAN.npy: image_band = 17 is given, and a .npy file holds one band" in said
+    load_acquisition(folder.replace("image_band = 17", "image_band = 1").write())
+
+
+def test_a_model_without_its_kind_of_platform_is_refused(folder):
+    said = message(folder.replace('"PAN.tif"', '"PAN.tif"\nmodel = "nofile"'))
+    assert (
+        "[[band]] number 1 (PAN): model = 'nofile' is given, and [platform] kind = \"level-flight\"" in said
+    )
+
+
 def test_a_level_flight_is_above_its_ground(folder):
     said = message(folder.add("[surface]\nheight = 700e3\n"))
     assert "surface.height = 700000 m is not below platform.altitude = 700000 m" in said

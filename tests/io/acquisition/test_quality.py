@@ -36,8 +36,12 @@ def test_hopeless_columns_keep_a_little(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("column,mtf_x,mtf_y,snr\n0,0.2,0.2,0\n", "above 0 are expected"),
-        ("column,mtf_x,mtf_y,snr\n0,-0.2,0.2,9\n", "mtf_x x snr is -1.8 at column 0"),
+        ("column,mtf_x,mtf_y,snr\n0,0.2,0.2,0\n", "snr is 0 at column 0 .*above 0 is allowed"),
+        ("column,mtf_x,mtf_y,snr\n0,-0.2,0.2,9\n", "mtf_x is -0.2 at column 0"),
+        # both negative: their product would be positive
+        ("column,mtf_x,mtf_y,snr\n0,0.2,0.2,9\n3,0.2,-0.2,-9\n", "mtf_y is -0.2 at column 3"),
+        ("column,mtf_x,mtf_y,snr\n2,1000,0.2,9\n", r"mtf_x is 1000 at column 2 \(1 such.*above 0 to 1, at"),
+        ("column,mtf_x,mtf_y,snr\n2,1_000,0.2,9\n", "line 2, column 'mtf_x': '1_000' is not a number"),
         ("column,mtf_x,mtf_y,snr\n9,0.2,0.2,9\n", "do not lie in an image of 5 columns"),
         ("column,mtf_x,snr\n0,0.2,9\n", "column 'mtf_y' is missing"),
         ("column,mtf_x,mtf_y,snr\n0,nan,0.2,9\n", "'mtf_x' is nan"),

@@ -52,8 +52,10 @@ def test_a_choice_is_read_for_the_nearest_signal(tmp_path):
     rows = "".join(f"{k},{s},{n}\n" for k in range(6) for s, n in ((10.0, 32), (1000.0, 4)))
     table(tmp_path, "column,signal,stages\n" + rows, "choice.csv")
     assert given(tmp_path, stages="choice.csv", stages_signal=800.0).tolist() == [[4] * 6]
-    with pytest.raises(FormatError, match="give stages_signal"):
-        given(tmp_path, stages="choice.csv")
+    with pytest.raises(FormatError, match=r"give stages_signal.*differ also time_reference = \"centre\""):
+        given(tmp_path, stages="choice.csv")  # one message for both keys that are missing
+    with pytest.raises(FormatError, match=r"give stages_signal.*of every line$"):
+        given(tmp_path, stages="choice.csv", time_reference="centre")
     with pytest.raises(FormatError, match="beyond its signals, 10 to 1000 electrons"):
         given(tmp_path, stages="choice.csv", stages_signal=5000.0)
 
@@ -94,6 +96,12 @@ def test_keys_that_do_not_go_together_are_named(tmp_path, keys, message):
 def test_wrong_tables_are_named(tmp_path, text, message):
     with pytest.raises(FormatError, match=message):
         read_stages(table(tmp_path, text), 6)
+
+
+def test_a_table_with_other_separators_is_called_that_also_where_a_signal_is_given(tmp_path):
+    path = table(tmp_path, "column;signal;stages\n0;60;4\n")
+    with pytest.raises(FormatError, match="values are parted by commas, not by ';'"):
+        read_stages(path, 6, 60.0)
 
 
 def test_tags_of_another_image_are_refused(tmp_path):

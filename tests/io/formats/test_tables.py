@@ -215,9 +215,10 @@ def test_a_quote_within_a_cell_is_part_of_it(tmp_path):
         ("t,x,y,z\n0,1,2\n", "line 2 has 3 values, the header has 4; correct that line"),
         ('t,x,y,z\n0,"1,5",2,3\n', "'1,5' is not a number; numbers are written with a decimal point: 1.5"),
         ("t,x,y,z\n31/12/2026 12:00:00,1,2,3\n", "is not a number; seconds from the epoch (t = 0)"),
+        ("t,x,y,z\n0,1_000,2,3\n", "'1_000' is not a number; digits are written without underscores: 1000"),
     ],
 )
-def test_decimal_commas_and_dates_are_recognised(tmp_path, text, words):
+def test_decimal_commas_underscores_and_dates_are_recognised(tmp_path, text, words):
     assert words in message(tables.read_positions, csv(tmp_path, text))
 
 

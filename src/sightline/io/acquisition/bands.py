@@ -29,7 +29,8 @@ from sightline.io.acquisition.schema import (
 from sightline.io.acquisition.spin import pointing_of
 from sightline.io.acquisition.stages import stages_of
 from sightline.io.formats import tables
-from sightline.io.formats.images import MissingImage, Source, check_content, open_image
+from sightline.io.formats.images import MissingImage, Source, check_band, check_content, open_image
+from sightline.io.quantities import shown
 from sightline.motion.band import Band
 
 Array = NDArray[np.float64]
@@ -199,6 +200,14 @@ def _detector_and_timing(
             f"{where}: first_pixel is of a part of a sensor model's image ([platform] kind camera-model); in "
             "its place give columns, first_line_time and tables of the part"
         )
+    if band.model is not None:
+        raise FormatError(
+            f'{where}: model = {shown(band.model)} is given, and [platform] kind = "{config.platform.kind}" '
+            'takes no sensor-model file: remove it, or give [platform] kind = "camera-model"'
+        )
+    if not isinstance(image, MissingImage):
+        # of a sensor model image_band is the number of its own band too, whatever the image is stored in
+        check_band(image, band.image_band, "image_band")
     lines, width = image.shape
     columns = _given(config, band, "columns")
     if columns is not None and columns != width:

@@ -21,7 +21,7 @@ from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform
 from sightline.io.acquisition.spin import pointing_of
 from sightline.io.acquisition.strips import cut_into_strips
 from sightline.io.formats.exif import read_exif
-from sightline.io.formats.images import MissingImage, Source, check_content, open_image
+from sightline.io.formats.images import MissingImage, Source, check_band, check_content, open_image
 from sightline.io.formats.instants import seconds_from_epoch
 from sightline.io.formats.isd_frame import read_frame_model
 from sightline.motion.band import Frame, LensKnowledge
@@ -102,6 +102,7 @@ def _open_frame_image(
         return MissingImage(files.path(entry.image), shape)
     mask = None if entry.mask is None else files(entry.mask)
     image = open_image(files(entry.image), entry.image_band, mask)
+    check_band(image, entry.image_band, "image_band")
     if look:
         check_content(image, may_be_masked=sky)
     return image

@@ -36,7 +36,7 @@ def read_match_sigma(path: Path, columns: int) -> Array:
     Raises
     ------
     FormatError
-        If values are not positive, or columns lie outside the image.
+        If an MTF lies outside (0, 1], an SNR is not above 0, or columns lie outside the image.
 
     Notes
     -----
@@ -52,15 +52,20 @@ def read_match_sigma(path: Path, columns: int) -> Array:
             f"{path}: columns {at[0]:g} to {at[-1]:g} do not lie in an image of {columns} columns (0 to "
             f"{columns - 1}); give the table of this band"
         )
+    for name, most, allowed in (
+        ("mtf_x", 1.0, "above 0 to 1, at the frequency that the table is for"),
+        ("mtf_y", 1.0, "above 0 to 1, at the frequency that the table is for"),
+        ("snr", np.inf, "above 0"),
+    ):
+        wrong = np.flatnonzero(~((table[name] > 0.0) & (table[name] <= most)))
+        if len(wrong):
+            raise FormatError(
+                f"{path}: {name} is {table[name][wrong[0]]:g} at column {table['column'][wrong[0]]:g} "
+                f"({len(wrong)} such in all); {allowed} is allowed"
+            )
     worth = np.empty((len(at), 2))
     for axis, name in enumerate(("mtf_y", "mtf_x")):
         product = table[name] * table["snr"]
-        if not (product > 0.0).all():
-            row = int(np.flatnonzero(~(product > 0.0))[0])
-            raise FormatError(
-                f"{path}: {name} x snr is {product[row]:g} at column {table['column'][row]:g}; MTF and SNR "
-                "above 0 are expected"
-            )
         # signals weigh alike: each relative to its own mean over the columns
         if "signal" in table:
             _, signal = np.unique(table["signal"], return_inverse=True)

@@ -24,6 +24,8 @@ from sightline.motion.band import Band
 Stages = NDArray[np.int16]
 
 TAGS_ENDING = ".bin"
+#: Values of time_reference, in words.
+_REFERENCES = '"centre" (the middle of the stages of each pixel), "first-stage" or "last-stage"'
 
 
 def stages_of(band: BandSection, shape: tuple[int, int], where: str, files: InputFolder) -> Stages | None:
@@ -67,7 +69,7 @@ def stages_of(band: BandSection, shape: tuple[int, int], where: str, files: Inpu
                 )
             counts = read_tag_stages(path, shape)
         else:
-            counts = read_stages(path, shape[1], band.stages_signal)
+            counts = read_stages(path, shape[1], band.stages_signal, placed=band.time_reference is not None)
     if counts.max() > shape[0]:
         raise FormatError(
             f"{where}: stages: {counts.max()} stages are more than the {shape[0]} lines of {band.image}; "
@@ -76,8 +78,7 @@ def stages_of(band: BandSection, shape: tuple[int, int], where: str, files: Inpu
     if band.time_reference is None and (counts != counts.flat[0]).any():
         raise FormatError(
             f"{where}: time_reference is missing: stages are from {counts.min()} to {counts.max()}, and what "
-            'first_line_time and look_ahead are of is not known; give "centre" (the middle of the stages of '
-            'each pixel), "first-stage" or "last-stage"'
+            f"first_line_time and look_ahead are of is not known; give {_REFERENCES}"
         )
     return counts
 
@@ -112,7 +113,7 @@ def check_covered(bands: Sequence[Band], toml: Path) -> None:
 
 
 @reads("a table of TDI stages")
-def read_stages(path: Path, columns: int, signal: float | None = None) -> Stages:
+def read_stages(path: Path, columns: int, signal: float | None = None, *, placed: bool = True) -> Stages:
     """(1, columns) TDI stages of a table ``column,stages``, or of a ``choice.csv`` for one signal.
 
     Parameters
@@ -123,17 +124,20 @@ def read_stages(path: Path, columns: int, signal: float | None = None) -> Stages
         Of the image.
     signal : float, optional
         Electrons; of a table with a column ``signal`` the rows of that one count.
+    placed : bool
+        Whether ``time_reference`` is given: where it and the signal are both missing, both are named at once.
 
     Raises
     ------
     FormatError
         If the rows are not those of the columns of the image, or there is no such signal.
     """
-    several = "signal" in header_of(path)
+    several = "signal" in header_of(path, ("column", "stages"))
     if several and signal is None:
         raise FormatError(
             f"{path}: has stages for each of several signals; give stages_signal (electrons per head line), "
             "or stages = the tags.bin of `tdi --signals`, which has those of every line"
+            + ("" if placed else f"; where stages differ also time_reference = {_REFERENCES}")
         )
     if not several and signal is not None:
         raise FormatError(

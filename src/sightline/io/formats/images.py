@@ -375,6 +375,15 @@ def open_image(path: Path, band: int | str = 1, mask: Path | None = None) -> Ras
     return RasterImage(Path(path), band, extra)
 
 
+def check_band(image: RasterImage | NpyImage, band: int | str, what: str) -> None:
+    """FormatError where a .npy file, which holds one band, is asked for another; `what` names the key."""
+    if isinstance(image, NpyImage) and band not in (1, "luminance"):
+        raise FormatError(
+            f"{image.path}: {what} = {band} is given, and a .npy file holds one band: leave it out, or name "
+            "the file that holds this band"
+        )
+
+
 def load_raster(
     path: str | Path, band: int | str = 1, mask: str | Path | None = None
 ) -> PlacedImage | RasterImage | NpyImage:
@@ -401,9 +410,8 @@ def load_raster(
         Names the file and what is wrong with it.
     """
     image = open_image(Path(path), band, None if mask is None else Path(mask))
+    check_band(image, band, "the band")
     if isinstance(image, NpyImage):
-        if band not in (1, "luminance"):
-            raise FormatError(f"{path}: a .npy file holds one band; leave the band out")
         return image
     with raster_errors(image.path), open_raster(image.path, image.access) as dataset:
         transform, crs = dataset.transform, dataset.crs

@@ -129,14 +129,7 @@ def read_columns(
     """
     rows = _rows(path)
     header = [name.strip() for name in rows[0][1]]
-    missing = [name for name in columns if name not in header]
-    if missing:
-        other = next((sign for sign in (";", "\t", "|") if sign in header[0]), "")
-        advice = f"; values are parted by commas, not by {other!r}, and hold decimal points" if other else ""
-        raise FormatError(
-            f"{path}: column {missing[0]!r} is missing: the header is {shown(','.join(header))}; "
-            f"expected {','.join(columns)!r}{advice}"
-        )
+    _check_header(path, header, columns)
     body = rows[1:]
     if not body:
         raise FormatError(f"{path}: no rows below the header {','.join(header)!r}; at least one is needed")
@@ -152,6 +145,18 @@ def read_columns(
         words = [row[at].strip() for _, row in body]
         result[name] = words if name in text else _numbers(path, name, words, body, name in infinite)
     return result
+
+
+def _check_header(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
+    """FormatError where a column is missing; another sign than the comma between names is recognised."""
+    missing = [name for name in columns if name not in header]
+    if missing:
+        other = next((sign for sign in (";", "\t", "|") if sign in header[0]), "")
+        advice = f"; values are parted by commas, not by {other!r}, and hold decimal points" if other else ""
+        raise FormatError(
+            f"{path}: column {missing[0]!r} is missing: the header is {shown(','.join(header))}; "
+            f"expected {','.join(columns)!r}{advice}"
+        )
 
 
 def _row_advice(row: Sequence[str], columns: int) -> str:
@@ -213,9 +218,11 @@ def read_long_columns(
 
 
 @reads("a CSV table")
-def header_of(path: Path) -> list[str]:
-    """Names of the columns of a CSV file; FormatError where there is none."""
-    return [name.strip() for name in _rows(path)[0][1]]
+def header_of(path: Path, columns: Sequence[str] = ()) -> list[str]:
+    """Names of the columns of a CSV file; FormatError where there is none, or one of `columns` is missing."""
+    header = [name.strip() for name in _rows(path)[0][1]]
+    _check_header(path, header, columns)
+    return header
 
 
 @reads("a CSV table")
@@ -284,12 +291,12 @@ def _numbers(
 ) -> Array:
     """A column as floats; the first word that is not a finite number is named."""
     try:
+        if any("_" in word for word in words):
+            raise ValueError
         values = np.array(words, dtype=np.float64)
     except ValueError:
         for word, (number, _) in zip(words, body, strict=True):
-            try:
-                float(word)
-            except ValueError:
+            if not _is_number(word):
                 raise FormatError(
                     f"{path}: line {number}, column {name!r}: {word!r} is not a number"
                     f"{_number_advice(name, word)}"
@@ -306,8 +313,20 @@ def _numbers(
     return values
 
 
+def _is_number(word: str) -> bool:
+    """Whether a word is a number in a table: Python itself would take 1_000 for 1000."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return "_" not in word
+
+
 def _number_advice(name: str, word: str) -> str:
     """What is expected in place of a word that is no number."""
+    plain = word.replace("_", "")
+    if plain != word and _is_number(plain):
+        return f"; digits are written without underscores: {plain}"
     if name in _TIMES:
         return "; seconds from the epoch (t = 0) are expected, as 12.5"
     if re.fullmatch(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", word):
