@@ -214,6 +214,28 @@ def test_a_folder_that_holds_something_is_not_replaced_by_a_file(tmp_path):
     assert (tmp_path / "summary.json").read_text() == "earlier"
 
 
+@pytest.mark.parametrize("when", ["before", "once the input says so"])
+def test_a_folder_in_the_way_of_a_file_that_will_be_written_is_refused_before_the_work(tmp_path, when):
+    write(tmp_path, {"motion.csv/mine.txt": "keep", "summary.json": "earlier"})
+    with (
+        pytest.raises(InputError, match=r"motion\.csv: is a folder that holds something"),
+        output_folder(tmp_path, overwrite=True, writes=["motion.csv"] if when == "before" else ()),
+    ):
+        will_write(["motion.csv"])
+        raise AssertionError("the work went on")
+    assert content(tmp_path) == {"motion.csv": None, "motion.csv/mine.txt": "keep", "summary.json": "earlier"}
+
+
+def test_an_empty_folder_and_a_link_to_a_folder_are_in_no_ones_way(tmp_path):
+    write(tmp_path, {"elsewhere/mine.txt": "keep"})
+    (tmp_path / "out/motion.csv").mkdir(parents=True)
+    _link(tmp_path / "out/summary.json", tmp_path / "elsewhere")
+    with output_folder(tmp_path / "out", overwrite=True, writes=list(RESULT)) as staging:
+        write(staging, RESULT)
+    assert content(tmp_path / "out") == PUBLISHED
+    assert (tmp_path / "elsewhere/mine.txt").read_text() == "keep"
+
+
 def test_only_the_named_files_of_an_earlier_run_go_and_no_input(tmp_path):
     write(tmp_path, {"attitude.aem": "x", "hidden.csv": "x", "mine.txt": "x"})
     listed = ["attitude.aem", "hidden.csv", "report.html"]

@@ -61,8 +61,14 @@ class Inputs:
             self._stamps[path] = _Stamp.of(path)
 
     def replace(self, names: Iterable[str]) -> None:
-        """Files of these names are written beside `own`: none that was or will be met may be one of them."""
-        self.replaced |= {os.path.realpath(self.own.parent / name) for name in names}
+        """Files of these names are written beside `own`: none that was or will be met may be one of them.
+
+        Nor may a folder that holds something have one of the names.
+        """
+        finals = [self.own.parent / name for name in names]
+        for final in finals:
+            refuse_folder(final)
+        self.replaced |= {os.path.realpath(final) for final in finals}
         for path in self._stamps:
             if os.path.realpath(path) in self.replaced:
                 raise replaced_error(path)
@@ -125,11 +131,20 @@ def will_write(names: Iterable[str]) -> None:
     Raises
     ------
     InputError
-        If a file of these names was read; later, where one is read.
+        If a file of these names was read, or a folder that holds something has one; later, where one is read.
     """
     # a batch around it has another folder
     for seen in _watching[-1:]:
         seen.replace(names)
+
+
+def refuse_folder(final: Path) -> None:
+    """InputError where what has the name of a file that is to be written is a folder that holds something."""
+    if not final.is_symlink() and final.is_dir() and any(final.iterdir()):
+        raise InputError(
+            f"{final}: is a folder that holds something, where a file of this name is to be written; move it "
+            "away, or give another --out"
+        )
 
 
 def replaced_error(path: Path) -> InputError:

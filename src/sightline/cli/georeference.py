@@ -74,7 +74,7 @@ def georeference(
     begun = time.perf_counter()
     with (
         output_folder(
-            out, overwrite=overwrite, resume=resume, writes=["summary.json", "poses.csv"]
+            out, overwrite=overwrite, resume=resume, writes=["summary.json", "poses.csv", "report.html"]
         ) as folder,
         progress() as report,
     ):

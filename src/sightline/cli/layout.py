@@ -12,6 +12,9 @@ from sightline.cli.options import AllowNetwork, Json, Overwrite, Workers
 if TYPE_CHECKING:
     from sightline.applications.focal_plane import LayoutChoice
 
+#: What it always writes.
+_WRITES = ("layouts.csv", "summary.json", "report.html")
+
 
 def layout(
     instrument: Annotated[Path, typer.Argument(metavar="INSTRUMENT.toml", help="What is known of it.")],
@@ -50,7 +53,7 @@ def layout(
     from sightline.motion.layout.information import checked_passband
 
     begin = time.perf_counter()
-    place = nullcontext() if out is None else output_folder(out, overwrite=overwrite)
+    place = nullcontext() if out is None else output_folder(out, overwrite=overwrite, writes=_WRITES)
     with place as folder, progress() as report:
         plane = load_instrument(instrument)
         checked_passband(passband)

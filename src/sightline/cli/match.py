@@ -99,7 +99,7 @@ def match(
         "step": step,
         "search_px": search,
     }
-    writes = ["summary.json"] if bands is not None else ["summary.json", "shifts.tif"]
+    writes = ["summary.json", "report.html", "pairs.csv" if bands is not None else "shifts.tif"]
     with output_folder(out, overwrite=overwrite, writes=writes) as folder, progress() as report:
         report("opening the images")
         if bands is not None:

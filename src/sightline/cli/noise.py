@@ -13,6 +13,9 @@ from sightline.execution import Progress
 if TYPE_CHECKING:
     from sightline.applications.detector_noise import DetectorNoise
 
+#: What it always writes.
+_WRITES = ("noise.toml", "columns.csv", "tdi.toml", "summary.json")
+
 
 def noise(
     raw: Annotated[
@@ -67,7 +70,7 @@ def noise(
     dark = [path for one in dark or [] for path in _matching(one)]
     begun = time.perf_counter()
     with (
-        output_folder(out, overwrite=overwrite) as folder,
+        output_folder(out, overwrite=overwrite, writes=_WRITES) as folder,
         progress() as report,
     ):
         found = estimate(raw, dark, report, dark_level, electrons_per_dn, stages)

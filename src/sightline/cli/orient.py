@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _AXES = ("roll", "pitch", "yaw")
 #: Files that every orientation is written into.
-_WRITES = ("summary.json", "orientation.csv", "covariance.csv")
+_WRITES = ("summary.json", "orientation.csv", "covariance.csv", "report.html")
 #: What residuals are of the methods that adjust no points.
 _RESIDUALS = {"epipolar": "distance from epipolar lines", "plane": "miss on the plane (relief is in it)"}
 

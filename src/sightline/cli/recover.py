@@ -53,10 +53,9 @@ def recover(
     left_out = (withhold,) if withhold else ()
     RecoverOptions(method=method, withhold=left_out)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
+    writes = ["summary.json", "motion.csv", "attitude.csv", "report.html"]
     with (
-        output_folder(
-            out, overwrite=overwrite, resume=resume, writes=["summary.json", "motion.csv"]
-        ) as folder,
+        output_folder(out, overwrite=overwrite, resume=resume, writes=writes) as folder,
         progress() as report,
     ):
         stages = finished_stages(out, refuse=resume and not overwrite)

@@ -51,10 +51,9 @@ def tdi(
     from sightline.cli.terminal import answered, progress, say
     from sightline.io.results.tdi_settings import SETTINGS, TAGS
 
+    writes = ["summary.json", "choice.csv", "table.bin", "report.html"]
     with (
-        output_folder(
-            out, overwrite=overwrite, resume=resume, writes=["summary.json", "choice.csv"]
-        ) as folder,
+        output_folder(out, overwrite=overwrite, resume=resume, writes=writes) as folder,
         progress() as report,
     ):
         stages = finished_stages(out, refuse=resume and not overwrite)

@@ -99,7 +99,7 @@ def tie(
     from sightline.kinds.tie import ReferenceTies
 
     begun = time.perf_counter()
-    writes = ["summary.json", "control_points.csv"]
+    writes = ["summary.json", "control_points.csv", "report.html"]
     with output_folder(out, overwrite=overwrite, writes=writes) as folder, progress() as report:
         report("reading the images, the reference and the DEM")
         tied = load_tied(acquisition)

@@ -89,8 +89,9 @@ def output_folder(
         The block goes on from those of a run that was stopped, unless to overwrite was all that was asked
         for; they are removed where it ends well, and where an input changed.
     writes
-        Names, below `folder`, of files that the command is sure to write: that one of them is read is refused
-        at once, and not when all is done. Those that only its input tells: `sightline.inputs.will_write`.
+        Names, below `folder`, of files that the command is sure to write: that one of them is read, or is a
+        folder that holds something, is refused at once, and not when all is done. Those that only its input
+        tells: `sightline.inputs.will_write`.
     note
         Called with what the user should know: a lock taken over, stages gone on from.
 

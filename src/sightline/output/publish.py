@@ -19,7 +19,7 @@ from pathlib import Path, PurePosixPath
 
 from sightline.access import read_json
 from sightline.errors import InputError, SightlineError
-from sightline.inputs import Inputs, replaced_error
+from sightline.inputs import Inputs, refuse_folder, replaced_error
 from sightline.writing import whole
 
 #: In a folder beside the final names: new files, those that they replace, while files are moved the journal.
@@ -141,13 +141,8 @@ def _unlinked(folder: Path, name: str) -> bool:
 
 def _refuse_replacing(final: Path, read: frozenset[str]) -> None:
     """InputError if what has the name of a result was read for it, or is a folder that holds something."""
-    kind = file_kind(final)
-    if kind == "folder" and any(final.iterdir()):
-        raise InputError(
-            f"{final}: is a folder that holds something, where a file of this name is to be written; move it "
-            "away, or give another --out"
-        )
-    if kind and os.path.realpath(final) in read:
+    refuse_folder(final)
+    if file_kind(final) and os.path.realpath(final) in read:
         raise replaced_error(final)
 
 
