@@ -109,6 +109,15 @@ def test_a_small_image_is_found_far_off_in_a_large_one():
     assert np.abs(np.median(shift, axis=0) - [200.4, 299.7]).max() < 0.01
 
 
+def test_images_smaller_than_the_usual_search_are_searched_as_far_as_they_reach():
+    a, b = shifted_pair((48, 60), (0.4, -0.3), snr=100, seed=5)
+    found = match_rasters(ArrayImage(a), ArrayImage(b))
+    kept = found.matches.kept
+    error = (found.shift_px[kept] - [0.4, -0.3]) / found.matches.sigma_px[kept]
+    # the median of n windows, in their own sigmas: 1.25 / sqrt(n), four times that
+    assert kept.sum() >= 4 and np.abs(np.median(error, axis=0)).max() < 4.0 * 1.25 / np.sqrt(kept.sum())
+
+
 def test_what_a_cloud_hides_is_not_matched_and_what_disagrees_is_an_outlier():
     a, b = shifted_pair(SHAPE, (1.2, 0.7), snr=100, seed=6)
     # a patch of b shows other ground, another cannot be used
@@ -154,6 +163,8 @@ def test_what_cannot_be_matched_is_refused_with_the_reason():
     refused(plain, plain, "it is constant, or unusable")
     refused(ArrayImage(np.full((60, 80), np.nan)), noise[0], "it is constant, or unusable")
     refused(ArrayImage(rng.normal(size=(20, 20))), noise[0], "24 px a side are needed")
+    small = ArrayImage(rng.normal(size=(16, 58)))  # smaller than the search that nobody asked for, too
+    refused(small, small, "16 x 58 and 16 x 58 px; 24 px a side are needed")
     refused(noise[0], noise[1], "`search_px` is -1", search_px=-1.0)
     refused(noise[0], noise[1], "`geometry` is", geometry="sphere")
     refused(noise[0], noise[0], "do not fit", window=(10, 400))

@@ -37,7 +37,7 @@ def test_a_key_of_another_kind_names_that_kind(folder):
 
 def test_a_number_in_place_of_a_list_is_answered_with_how_a_list_is_written(folder):
     said = message(folder.replace("offset_sigma_px = 0.0", "offset_px = 0.0"))
-    assert "band[1].offset_px = 0.0 is not allowed: a list is, its values in brackets, as [1.0, 2.0]" in said
+    assert "band[1].offset_px = 0.0 is not allowed: two numbers [forward, toward larger columns] are" in said
 
 
 @pytest.mark.parametrize(
@@ -46,6 +46,67 @@ def test_a_number_in_place_of_a_list_is_answered_with_how_a_list_is_written(fold
 def test_what_is_no_text_is_answered_with_how_text_is_written(folder, mask, allowed):
     said = message(folder.replace("offset_sigma_px = 0.0", f"mask = {mask}"))
     assert "band[1].mask = " in said and f" is not allowed: {allowed}" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[world]\norigin = []", "three numbers [longitude (deg), latitude (deg), height (m)] are"),
+        ("[matching]\nwindow = [1, 2, 3]", "two numbers [lines, columns] are"),
+        ('[matching]\npairs = ["PAN"]', 'two words in quotation marks, ["a", "b"], are'),
+        ('[files]\nallow = "x"', 'a list is, its values in brackets, as ["x"]'),
+        ("[files]\nallow = true", 'a list is, its values in brackets, as ["a", "b"]'),
+        ("[known_motion]\ntones = 3", "a list is, its values in brackets, as [1.0, 2.0]"),
+    ],
+)
+def test_what_is_no_list_or_one_of_another_length_is_answered_with_what_the_list_holds(folder, text, words):
+    said = message(folder.add(f"{text}\n"))
+    assert f"is not allowed: {words}" in said and "also missing" not in said
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("instrument", 3, "a table is, [instrument] with its keys below"),
+        ("band", 3, "tables are, each headed [[band]]"),
+        ("band", [3], "a table is, [[band]] with its keys below"),
+    ],
+)
+def test_what_is_no_table_is_answered_with_one(tmp_path, key, value, words):
+    platform = {"kind": "level-flight", "altitude": 7e5, "ground_speed": 7e3}
+    with pytest.raises(FormatError) as caught:
+        validate(AcquisitionFile, {"platform": platform, key: value}, tmp_path / "x.toml")
+    assert f"is not allowed: {words}" in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["1979-05-27", "07:32:00", "true"])
+def test_values_are_repeated_as_the_file_has_them(folder, value):
+    said = message(folder.replace('name = "strip"', f"name = {value}"))
+    assert f"acquisition.name = {value} is not allowed: text in quotation marks is" in said
+
+
+@pytest.mark.parametrize(
+    ("key", "owners"),
+    [
+        ("positions", 'kind = "ephemeris" or "spin"'),
+        ("epoch", "[acquisition]"),
+        ("ifov", "[instrument] or [[band]]"),
+        ("radii", "[surface]"),
+    ],
+)
+def test_a_key_of_other_kinds_or_tables_names_all_of_them(folder, key, owners):
+    said = message(folder.replace("altitude = 700e3", f'altitude = 700e3\n{key} = "x"'))
+    assert f"'platform.{key}'; it belongs to {owners}; [platform] takes" in said
+
+
+@pytest.mark.parametrize(("key", "example"), [("stages", "[8, 16, 32]"), ("integration_ratio", "[0.5, 1.0]")])
+@pytest.mark.parametrize("value", [17, "x", True, None])
+def test_a_grid_that_is_neither_list_nor_range_is_answered_with_both(tmp_path, key, example, value):
+    grid = {"stages": [4], "integration_ratio": [1.0]} | {key: value}
+    given = {"grid": grid, "columns": {"count": 4}, "signals": {"list": [10.0]}, "noise": {"read": 3.0}}
+    with pytest.raises(FormatError) as caught:
+        validate(TdiFile, given, tmp_path / "tdi.toml")
+    assert f"is not allowed: a list is, as {example}, or a range {{ from, to, step }}" in str(caught.value)
 
 
 def test_an_unknown_table_is_named_with_the_nearest_one(folder):

@@ -42,6 +42,8 @@ GEOMETRIES = ("auto", "map", "pixels")
 WINDOWS = {"map": (32, 32), "pixels": (10, 100)}
 #: px; furthest shift that is looked for.
 SEARCH = 64.0
+#: px; shortest side of images that are searched.
+_SHORTEST = 24
 #: Sigmas of the pilot windows about the field that the search about it takes in, and px beyond.
 _REACH, _BEYOND = 4.0, 1
 #: px; longest search about the field.
@@ -352,7 +354,8 @@ def match_rasters(
     step : (int, int), optional
         From one window to the next; the window's own size by default, so that their errors are independent.
     search_px : float, optional
-        px of a; furthest shift that is looked for, 64 by default; 0: less than 4 px, nothing is searched.
+        px of a; furthest shift that is looked for, by default 64, in smaller images as far as their longest
+        side; 0: less than 4 px, nothing is searched.
     min_score, max_sigma_px : float
         As of `match_images`.
     names : (str, str), optional
@@ -381,8 +384,13 @@ def match_rasters(
     outlier. Where pixels of b are larger, those of a are averaged to about their size; where they are
     smaller, those of b.
     """
-    reach = SEARCH if search_px is None else search_px
+    if min(*a.shape, *b.shape) < _SHORTEST:
+        raise InputError(
+            f"the images have {a.shape[0]} x {a.shape[1]} and {b.shape[0]} x {b.shape[1]} px; {_SHORTEST} px "
+            "a side are needed at least"
+        )
     longest = max(*a.shape, *b.shape)
+    reach = min(SEARCH, longest) if search_px is None else search_px
     if not (np.isfinite(reach) and 0.0 <= reach <= longest):
         raise InputError(
             f"`search_px` is {reach:g}; 0 to {longest} px, the longest side of the images, are allowed "
@@ -497,12 +505,12 @@ def _windows(
             raise InputError(
                 f"`{name}` is {tuple(given)}; lines and columns, 1 px or more each, are allowed (--{name})"
             )
-    if size[0] > shape[0] or size[1] > shape[1] or min(min(shape), *laid.b.shape) < 24:
+    if size[0] > shape[0] or size[1] > shape[1] or min(min(shape), *laid.b.shape) < _SHORTEST:
         scale = "" if k == 1 else f" (averages over {k} px: those of the other image are as large)"
         raise InputError(
             f"windows of {size[0]} x {size[1]} px do not fit into images of {shape[0]} x {shape[1]} and "
-            f"{laid.b.shape[0]} x {laid.b.shape[1]} px{scale}; 24 px a side are needed at least, and a "
-            "window within the first image"
+            f"{laid.b.shape[0]} x {laid.b.shape[1]} px{scale}; {_SHORTEST} px a side are needed at least, "
+            "and a window within the first image"
         )
     return asked, stride, size
 

@@ -51,8 +51,12 @@ COMMANDS = {
 }
 #: Keys that a focal length in mm is given by, which none of the files takes.
 _IN_MM = ("focal_length_mm", "focal_mm", "focal", "f_mm", "f")
+#: Numbers of values in words.
+_COUNTS = {1: "one", 2: "two", 3: "three", 4: "four"}
 #: Keys that are listed in a message.
 _LISTED = 8
+#: Tables that a key is said to belong to: what more have, as a name, belongs to none.
+_OWNERS = 2
 #: Characters of a key that a message repeats.
 _LONGEST_KEY = 80
 
@@ -185,16 +189,18 @@ def validate(
 
 
 def _validated(model: type[Model], data: dict[str, Any], path: Path, elsewhere: Mapping[str, str]) -> Model:
-    unknown = next(_unknown_keys(model, data, (), elsewhere), None)
+    unknown = next(_unknown_keys(model, data, (), elsewhere, _tables_with(model)), None)
     if unknown is not None:
         raise FormatError(f"{path}: {_meant_for_another(model, data, elsewhere) or unknown}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
         first, *others = error.errors()
-        raise FormatError(
-            f"{path}: {_explain(first)}{_held(model, first)}{_others(_place(first), others)}"
-        ) from None
+        length = _wrong_length(model, first)
+        if length:  # each value that a list lacks is complained of
+            others = [one for one in others if _list_of(one) != _list_of(first)]
+        said = length or f"{_explain(first, model)}{_held(model, first)}"
+        raise FormatError(f"{path}: {said}{_others(_place(first), others)}") from None
 
 
 def _meant_for_another(model: type[BaseModel], data: dict[str, Any], known: Mapping[str, str]) -> str:
@@ -255,8 +261,12 @@ def _unknown_keys(
     data: dict[str, Any],
     where: tuple[str | int, ...],
     others: Mapping[str, str] = MappingProxyType({}),
+    tables: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[str]:
-    """Every key of `data` that `model` does not have, in words; `others` names the kind that has it."""
+    """Every key of `data` that `model` does not have, in words.
+
+    `others` names the kinds of this table that have it, `tables` the tables of the file.
+    """
     fields = {field.alias or name: field for name, field in model.model_fields.items()}
     for key, value in data.items():
         if key not in fields:
@@ -265,8 +275,8 @@ def _unknown_keys(
                 yield f"unknown key {_key((*where, key))!r}; {_focal_hint(value)}"
                 continue
             hint = _near(key, list(fields)) or ";"
-            if key in others:
-                hint = f"; it belongs to {others[key]};"
+            if key in others or key in tables:
+                hint = f"; it belongs to {others.get(key) or tables[key]};"
             yield f"unknown key {_key((*where, key))!r}{hint} {owner} takes: {', '.join(fields)}"
             continue
         items = value if isinstance(value, list) else [value]
@@ -276,7 +286,7 @@ def _unknown_keys(
                 inner = _model_of(annotation, item)
                 if inner is not None:
                     place = (*where, key, index) if isinstance(value, list) else (*where, key)
-                    yield from _unknown_keys(inner, item, place, _other_kinds(annotation))
+                    yield from _unknown_keys(inner, item, place, _other_kinds(annotation), tables)
 
 
 def _as_given(annotation: Any, *, listed: bool) -> Any:
@@ -297,12 +307,27 @@ def _parts(annotation: Any) -> Iterator[Any]:
 
 
 def _other_kinds(annotation: Any) -> dict[str, str]:
-    """Keys of a table that comes in several kinds, with a kind that has them."""
+    """Keys of a table that comes in several kinds, with the kinds that have them."""
     models = list(dict.fromkeys(_models_in(annotation)))
     if len(models) < 2:
         return {}
-    kinds = {model: get_args(model.model_fields["kind"].annotation)[0] for model in models}
-    return {key: f'kind = "{kinds[model]}"' for model in models for key in model.model_fields}
+    having: dict[str, list[str]] = {}
+    for model in models:
+        for key in model.model_fields:
+            having.setdefault(key, []).append(f'"{get_args(model.model_fields["kind"].annotation)[0]}"')
+    return {key: f"kind = {' or '.join(kinds)}" for key, kinds in having.items()}
+
+
+def _tables_with(model: type[BaseModel]) -> dict[str, str]:
+    """Keys of the tables of a file, with the tables that have them; none that most tables have."""
+    having: dict[str, dict[str, None]] = {}
+    for name, field in model.model_fields.items():
+        for part in _parts(field.annotation):
+            table = f"[[{name}]]" if get_origin(part) is list else f"[{name}]"
+            for inner in _models_in(part):
+                for key, of_table in inner.model_fields.items():
+                    having.setdefault(of_table.alias or key, {})[table] = None
+    return {key: " or ".join(tables) for key, tables in having.items() if len(tables) <= _OWNERS}
 
 
 def _focal_hint(value: Any) -> str:
@@ -352,7 +377,96 @@ def _key(where: Sequence[str | int]) -> str:
     return text
 
 
-def _explain(error: Any) -> str:
+def _list_of(error: Any) -> tuple[str | int, ...]:
+    """Place of the list that a complaint is about, or about a value of which."""
+    where = _where(error)
+    return where[:-1] if where and isinstance(where[-1], int) else where
+
+
+def _wrong_length(model: type[BaseModel], error: Any) -> str:
+    """What a list of a fixed number of values should hold, where it holds fewer or more; else empty."""
+    if error["type"] not in ("missing", "too_long"):
+        return ""
+    where = _list_of(error)
+    if error["type"] == "missing" and where == _where(error):
+        return ""
+    words = _tuple_words(model, where)
+    given = error["input"]
+    return f"{_key(where)} = {shown(given)} is not allowed: {words}" if words else ""
+
+
+def _at(model: type[BaseModel], where: Sequence[str | int]) -> tuple[Any, str]:
+    """Type and description of a key, or of the values of a list at that place; None where there is none."""
+    annotation: Any = model
+    description = ""
+    for part in where:
+        if isinstance(part, str):
+            fields = [
+                field
+                for inner in _models_in(annotation)
+                for name, field in inner.model_fields.items()
+                if part == (field.alias or name)
+            ]
+            if not fields:
+                return None, ""
+            annotation, description = fields[0].annotation, fields[0].description or ""
+        elif (several := _list_type(annotation)) is not None:
+            annotation, description = get_args(several)[0], ""
+    return annotation, description
+
+
+def _list_type(annotation: Any) -> Any:
+    """The list or tuple among the types that are taken; None without one."""
+    return next((part for part in _parts(annotation) if get_origin(part) in (list, tuple)), None)
+
+
+def _tuple_words(model: type[BaseModel], where: Sequence[str | int]) -> str:
+    """``two numbers [lines, columns] are`` of a list of so many values; empty for any other."""
+    annotation, description = _at(model, where)
+    several = _list_type(annotation)
+    if several is None or get_origin(several) is list or Ellipsis in get_args(several):
+        return ""
+    count = len(get_args(several))
+    number = _COUNTS.get(count, str(count))
+    # what they are stands in the first brackets of the description that name as many
+    named = re.findall(r"[(\[]([^()\[\]]+(?:\([^()]*\)[^()\[\]]*)*)[)\]]", description)
+    parts = [(words, [part.strip()[:1] for part in words.split(",")]) for words in named]
+    meaning = next(
+        (f" [{words}]" for words, begin in parts if len(begin) == count and "".join(begin).isalpha()), ""
+    )
+    if _leaf(several) is not float:
+        return f"{number} words in quotation marks, {['a', 'b'][:count]}, are".replace("'", '"')
+    return f"{number} numbers{meaning or ' in brackets'} are"
+
+
+def _leaf(annotation: Any) -> type:
+    """What the values of a list are, however deep: text, numbers or tables."""
+    several = _list_type(annotation)
+    if several is not None:
+        return _leaf(get_args(several)[0])
+    if next(_models_in(annotation), None) is not None:
+        return dict
+    return str if str in _parts(annotation) else float
+
+
+def _list_words(model: type[BaseModel], where: Sequence[str | int], given: Any) -> str:
+    """How a list is written that belongs at a place."""
+    words = _tuple_words(model, where)
+    if words:
+        return words
+    several = _list_type(_at(model, where)[0])
+    inner = None if several is None else _list_type(get_args(several)[0])
+    leaf = float if several is None else _leaf(several)
+    if leaf is dict:
+        return f"tables are, each headed [[{where[-1]}]]"
+    if leaf is str:
+        example = '["a", "b"]' if not isinstance(given, str) or inner is not None else f'["{given}"]'
+    else:
+        example = "[1.0, 2.0]" if inner is None else "[1, 2]"
+    return f"a list is, its values in brackets, as {example if inner is None else f'[{example}, ...]'}"
+
+
+def _explain(error: Any, model: type[BaseModel]) -> str:
     """One pydantic complaint in our form: key, value, what is allowed."""
     where = _where(error)
     key, kind, given = _key(where), error["type"], error["input"]
@@ -383,7 +497,10 @@ def _explain(error: Any) -> str:
     if kind in ("tuple_type", "list_type"):
         if isinstance(where[-1], int) and len(where) == 2:
             return f"{key} = {shown(given)} is not allowed: a list is, as {where[0]} = [[1, 2], [3, 4]]"
-        return f"{key} = {shown(given)} is not allowed: a list is, its values in brackets, as [1.0, 2.0]"
+        return f"{key} = {shown(given)} is not allowed: {_list_words(model, where, given)}"
+    if kind in ("model_type", "model_attributes_type"):
+        head = f"[[{where[-2]}]]" if isinstance(where[-1], int) else _table(where)
+        return f"{key} = {shown(given)} is not allowed: a table is, {head} with its keys below"
     if kind in ("bool_type", "bool_parsing"):
         return f"{key} = {shown(given)} is not allowed: true or false is"
     if kind == "string_type":

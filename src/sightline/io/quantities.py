@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from datetime import date, time
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -24,7 +25,11 @@ QUATERNION_TOLERANCE = 1e-3
 
 
 def shown(value: object) -> str:
-    """A value as a message repeats it: the beginning of what is long."""
+    """A value as a message repeats it: as TOML has it, of what is long the beginning."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, date | time):  # a datetime is a date
+        return value.isoformat()
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list | tuple) and len(value) > 8:

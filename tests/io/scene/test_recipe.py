@@ -181,7 +181,7 @@ def test_a_wrong_setting_is_answered_with_what_is_allowed(given, words):
         ('kind = "flights"\n', "kind = 'flights' is not known; allowed: 'stereo'"),
         ('case = "Z"\n', "unknown case: got 'Z'; allowed are A_paper_T6_K64"),
         ("shots = [3]\n", "shots = [3] is not allowed: a whole number is"),
-        ("track_shots = 3\n", "track_shots = 3 is not allowed: a list is"),
+        ("track_shots = 3\n", "track_shots = 3 is not allowed: two numbers in brackets are"),
         ('relief = "white"\ndem_sigma = 1.0\n', 'relief "white" has no DEM'),
         ("[camera]\nshape = [3, 3]\n", "looks like a file for"),
         ("shots = \n", "not valid TOML"),

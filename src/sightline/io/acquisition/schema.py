@@ -557,7 +557,8 @@ class WorldSection(SchemaSection):
     )
     origin: tuple[Longitude, Latitude, Height] | None = Field(
         default=None,
-        description="longitude (deg), latitude (deg), height (m) of the local axes (east, north, up)",
+        description="[longitude (deg), latitude (deg), height (m)] of the origin of the local axes (east, "
+        "north, up)",
     )
 
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from sightline.io.acquisition.schema import InputFile, SchemaSection
 from sightline.io.quantities import FileName, Name, ShareBelow1, ShareOrNone, Title, Within, shown
@@ -98,6 +99,15 @@ class GridSection(SchemaSection):
             return given
         # rounded, so that 0.05 x 20 is 1 and not a hair above
         return [float(np.round(given.start + k * given.step, 12)) for k in range(given.count)]
+
+    @field_validator("stages", "integration_ratio", mode="before")
+    @classmethod
+    def _a_list_or_a_range(cls, value: object, info: ValidationInfo) -> object:
+        if not isinstance(value, list | tuple | dict | StageRange | RatioRange):
+            example = "[8, 16, 32]" if info.field_name == "stages" else "[0.5, 1.0]"
+            words = f"a list is, as {example}, or a range {{ from, to, step }}"
+            raise PydanticCustomError("bound", "{words}", {"words": words})
+        return value
 
     @field_validator("stages", "integration_ratio")
     @classmethod
