@@ -14,7 +14,7 @@ from tests.io.results.exported import orbit_strip
 from sightline.errors import InputError
 from sightline.io.formats.footprints import feature_of
 from sightline.io.results.catalog import bounds_of, hull_of, write_geoparquet
-from sightline.io.results.exports import write_export
+from sightline.io.results.exports import OF_PLACE, write_export
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +73,10 @@ def test_the_map_of_a_cube_is_in_its_item(strip, tmp_path):
 
 
 def test_what_has_no_epoch_or_lies_on_another_body_is_no_item(strip, tmp_path):
-    with pytest.raises(InputError, match="add the epoch"):
-        write_export("stac", tmp_path, replace(strip, epoch=None))
+    # of what another command made, its file and command are not those of a recovery
+    for only, said in (((), r"add \[acquisition\] epoch"), (OF_PLACE, "add the epoch")):
+        with pytest.raises(InputError, match=said):
+            write_export("stac", tmp_path, replace(strip, epoch=None, only=only))
     flat = replace(strip, flight=True, footprints=())
     with pytest.raises(InputError, match="needs a place on the Earth"):
         write_export("geoparquet", tmp_path, flat)

@@ -442,6 +442,33 @@ def test_what_is_lacking_is_named(strip, tmp_path, to, lacking, said):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("to", "frame", "first", "second"),
+    [
+        ("csm", "LOCAL_ENU", "needs axes that are fixed to a body; these are local", "needs the instant of"),
+        ("isd", "ITRF", "--acquisition FILE.*, with axes that are fixed to a body", "needs the instant of"),
+        ("isis", "LOCAL_ENU", "--acquisition FILE", "needs the instant of t = 0: add .*, unless its sensor"),
+        ("stac", "LOCAL_ENU", "needs axes that are fixed to a body; these are", "gives times in UTC: add"),
+    ],
+)
+def test_all_that_a_form_lacks_is_said_at_once(strip, tmp_path, to, frame, first, second):
+    from dataclasses import replace
+
+    bare = replace(strip, acquisition=None, cameras={}, epoch=None, frame=frame)
+    with pytest.raises(InputError, match=f"^--to {to} .*{first}.*; it also {second}"):
+        write_export(to, tmp_path, bare)
+
+
+def test_the_axes_of_a_result_without_epoch_and_acquisition_are_not_called_those_of_another_body(
+    strip, tmp_path
+):
+    from dataclasses import replace
+
+    bare = replace(strip, acquisition=None, cameras={}, epoch=None, frame=None)
+    with pytest.raises(InputError, match=r"^--to aem gives times in UTC: [^;]*; as it is, this result gives"):
+        write_export("aem", tmp_path, bare)
+
+
 def test_a_kernel_is_refused_where_it_has_no_use(strip, tmp_path):
     with pytest.raises(InputError, match="--kernel is for --to ck and isis; leave it out with --to csm"):
         write_export("csm", tmp_path, strip, (tmp_path / "a.tls",))

@@ -125,7 +125,9 @@ class HeaderSection(DatedSection):
 
     name: Title = Field(default="acquisition", description="Title of the report")
     epoch: Title | None = Field(
-        default=None, description="UTC instant of t = 0, ISO 8601; needed by CCSDS files and EXIF times"
+        default=None,
+        description="UTC instant of t = 0, ISO 8601; needed by axes of the stars, EXIF times, CCSDS files "
+        "and `export` --to csm, isd, aem, oem, ck, isis, stac",
     )
     control_points: FileName | None = Field(
         default=None, description="CSV file x,y,z,sigma,image,line,column of ground control points"

@@ -176,12 +176,22 @@ class Exported:
 
     def needs_body(self, to: str) -> tuple[Acquisition, tuple[float, float]]:
         """The acquisition and the radii of the body, where a form holds axes fixed to one."""
-        acquired = self.needs_cameras(to)
-        if acquired.world != "earth-fixed":
+        axes, acquired = self.frame, self.acquisition
+        local = axes == AEM_FRAMES["local"] if acquired is None else acquired.world != "earth-fixed"
+        if local and not self.flight:
             raise InputError(
                 f"--to {to} needs axes that are fixed to a body; these are local (level flight over a flat "
                 'Earth): give [platform] kind = "ephemeris" or "camera-model"'
             )
+        try:
+            acquired = self.needs_cameras(to)
+        except InputError as error:
+            if self.flight or self.acquisition is not None:
+                raise
+            raise InputError(
+                f'{error}, with axes that are fixed to a body ([platform] kind = "ephemeris" or '
+                '"camera-model")'
+            ) from None
         return acquired, surface_radii(acquired.surface)
 
     def needs_et(self, to: str) -> float:
@@ -190,8 +200,10 @@ class Exported:
         if known is not None:
             return known
         if self.epoch is None:
+            unless = ", unless its sensor model brings it" if self.acquisition is None else ""
             raise InputError(
                 f"--to {to} needs the instant of t = 0: add [acquisition] epoch (UTC) to the ACQUISITION.toml"
+                f"{unless}"
             )
         return et_of_utc(self.epoch)
 
@@ -282,6 +294,7 @@ def write_export(to: str, folder: Path, exported: Exported, kernels: tuple[Path,
         )
     begun = time.perf_counter()
     try:
+        _check_needs(to, exported)
         found = EXPORTS[to](folder, exported, kernels)
     except InputError as error:
         others = forms_of(exported)
@@ -302,6 +315,19 @@ def write_export(to: str, folder: Path, exported: Exported, kernels: tuple[Path,
     }
 
 
+def _check_needs(to: str, exported: Exported) -> None:
+    """InputError that names all that a form lacks: whoever mends one thing should not meet the next."""
+    lacks: list[str] = []
+    for needed in _NEEDS.get(to, ()):
+        try:
+            needed(exported, to)
+        except InputError as error:
+            lacks.append(str(error))
+    if lacks:
+        more = [text.removeprefix(f"--to {to} ") for text in lacks[1:] if text != lacks[0]]
+        raise InputError("; it also ".join([lacks[0], *more]))
+
+
 def _quaternions(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
     """``quaternions.csv``: attitude, where it is known place, and sigma, at the times of the motion."""
     columns: dict[str, Any] = {"t": exported.t}
@@ -315,23 +341,31 @@ def _quaternions(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[
     return {"rows": len(exported.t), "axes": "world_from_body, scalar last"}
 
 
-def _need_message(exported: Exported, to: str) -> tuple[str, str]:
-    """Epoch and name of the axes of a CCSDS message."""
+def _need_epoch(exported: Exported, to: str) -> str:
+    """UTC of t = 0."""
     if exported.epoch is None:
-        raise InputError(
-            f"--to {to} gives times in UTC: add [acquisition] epoch (UTC of t = 0) and recover again"
-        )
-    if exported.frame is None:
+        add = "add [acquisition] epoch (UTC of t = 0) and recover again"
+        if exported.flight or exported.only:
+            add = "add the epoch (UTC of t = 0) to the file and run the command again"
+        raise InputError(f"--to {to} gives times in UTC: {add}")
+    return exported.epoch
+
+
+def _need_axes(exported: Exported, to: str) -> str:
+    """Name of the axes of a CCSDS message."""
+    # a folder names its axes in a message alone, and without an epoch it has none
+    known = exported.flight or exported.acquisition is not None or exported.epoch is not None
+    if exported.frame is None and known:
         where = "local, or of another body" if exported.flight else "of another body"
         raise InputError(
             f"--to {to} names its axes, and those of this result have no name there: they are {where}"
         )
-    return exported.epoch, exported.frame
+    return exported.frame or ""
 
 
 def _aem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
     """``attitude.aem``: the refined attitude of the body."""
-    epoch, frame = _need_message(exported, "aem")
+    epoch, frame = _need_epoch(exported, "aem"), _need_axes(exported, "aem")
     name = exported.name.upper()
     write_aem(folder / "attitude.aem", exported.t, exported.quat_xyzw, epoch, object_name=name, frame=frame)
     return {"rows": len(exported.t), "axes": f"{frame} to SC_BODY_1"}
@@ -351,7 +385,7 @@ def _need_positions(exported: Exported, to: str) -> Array:
 
 def _oem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
     """``orbit.oem``: positions and velocities of the body at the times of the motion."""
-    epoch, frame = _need_message(exported, "oem")
+    epoch, frame = _need_epoch(exported, "oem"), _need_axes(exported, "oem")
     position = _need_positions(exported, "oem")
     velocity = rates(position, exported.t)
     name = exported.name.upper()
@@ -516,25 +550,20 @@ def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[s
     return {"bands": bands, "axes": "samples, lines of each band: with the motion less without it"}
 
 
-def _need_earth(exported: Exported, to: str) -> tuple[tuple[dict[str, Any], ...], tuple[float, float], str]:
-    """What is covered of the Earth, its radii, and UTC of t = 0."""
+def _need_earth(exported: Exported, to: str) -> tuple[dict[str, Any], ...]:
+    """What is covered of the Earth."""
     features, radii = exported.covers(to)
     if abs(radii[0] / WGS84[0] - 1.0) > 1e-3:
         raise InputError(
             f"--to {to} gives longitudes and latitudes of the Earth, and this is another body; give "
             "--to geoparquet"
         )
-    if exported.epoch is None:
-        raise InputError(
-            f"--to {to} gives times in UTC: add the epoch (UTC of t = 0) to the file and run the command "
-            "again"
-        )
-    return features, radii, exported.epoch
+    return features
 
 
 def _stac(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
     """``stac.json``: what is covered and when, and the files of the result."""
-    features, _radii, epoch = _need_earth(exported, "stac")
+    features, epoch = _need_earth(exported, "stac"), _need_epoch(exported, "stac")
     span = float(exported.t.min()), float(exported.t.max())
     return write_stac(
         folder, exported.name, features, span, epoch, exported.folder, exported.files, exported.cube
@@ -745,13 +774,13 @@ OF_PLACE: tuple[str, ...] = ("stac", "geoparquet")
 _NEEDS: dict[str, tuple[Callable[[Exported, str], object], ...]] = {
     "csm": (Exported.needs_body, Exported.needs_et),
     "isd": (Exported.needs_body, Exported.needs_et),
-    "aem": (_need_message,),
-    "oem": (_need_message, _need_positions),
+    "aem": (_need_epoch, _need_axes),
+    "oem": (_need_epoch, _need_axes, _need_positions),
     "rpc": (Exported.needs_body,),
     "quaternions": (),
     "shifts": (Exported.needs_cameras,),
     "isis": (Exported.needs_cameras, Exported.needs_et),
-    "stac": (_need_earth,),
+    "stac": (_need_earth, _need_epoch),
     "geoparquet": (Exported.covers,),
     "igm": (Exported.needs_body,),
 }
