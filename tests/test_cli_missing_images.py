@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import pytest
@@ -41,6 +42,27 @@ def test_all_that_are_missing_are_described_by_the_keys(strip, capsys):
     assert "(and 3 more images)" in said.err
     assert [pair["lag"] for pair in described["pairs"]][:1] == [pytest.approx(0.15, rel=1e-3)]
     assert "PAN: 1000 lines x 320 columns" in " ".join(described["understood"])
+
+
+@pytest.mark.parametrize(
+    ("look", "also"),
+    [
+        # 630 of 640 lines ahead leave fewer than the 20 windows of 10 lines that are needed; 700 leave none
+        (630, "as described, the images have too little ground in common"),
+        (700, "shares no ground with any other image"),
+    ],
+)
+def test_one_that_is_missing_is_said_before_what_follows_from_its_description(strip, capsys, look, also):
+    toml = strip / "acquisition.toml"
+    head, first, second = toml.read_text().split("[[band]]")[:3]
+    assert 'image = "B1.tif"' in second
+    second = re.sub(r"look_ahead = .*", f"look_ahead = {look * 5e-6}", second)
+    toml.write_text("[[band]]".join([head, first, second]))
+    (strip / "B1.tif").unlink()
+    assert run(["check", str(toml)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"sightline: error: {toml}: [[band]] 2 image: {strip / 'B1.tif'}: no such file")
+    assert also in said and said.count(str(toml)) == 1
 
 
 def test_a_recovery_does_not_begin_without_them(strip, tmp_path, capsys):

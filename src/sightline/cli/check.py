@@ -43,13 +43,13 @@ def check(
 def _ended(file: Path, absent: list[str], still: str) -> None:
     """Status 1 where images are not there or hold no motion: what is described cannot be recovered."""
     from sightline.cli.terminal import complain
+    from sightline.io.acquisition.load import few_absent
 
+    said = [few_absent(absent)] if absent else []
     if still:
-        complain("error", f"{file}: `recover` would refuse it: {still}")
-        raise typer.Exit(1)
-    if absent:
-        more = f" (and {len(absent) - 1} more images)" if len(absent) > 1 else ""
-        complain("error", f"{file}: {absent[0]}{more}")
+        said.append(f"`recover` would refuse it: {still}")
+    if said:
+        complain("error", f"{file}: {'; '.join(said)}")
         raise typer.Exit(1)
 
 
@@ -102,7 +102,8 @@ def describe(file: Path) -> dict[str, Any]:
             description["missing"] = [*acquired.absent, *description["missing"]]
             description["absent"] = list(acquired.absent)
             if ready is None:
-                description["missing"].insert(0, f"images that hold motion: {acquired.still}")
+                at = len(acquired.absent)  # images that are not there come first
+                description["missing"].insert(at, f"images that hold motion: {acquired.still}")
                 return {**description, "warnings": [], "still": acquired.still}
             cost = ready
     description["understood"].append(f"the run will take {cost.words}")

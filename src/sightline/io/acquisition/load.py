@@ -9,7 +9,8 @@ trajectories and surfaces (``platform.py``, ``ground.py``).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from sightline.applications.expected_cost import Cost, frames_cost, spin_cost, strip_cost
 from sightline.applications.line_of_sight import ready_strip
 from sightline.applications.spin_attitude import SpinOptions, seen_again
-from sightline.errors import EstimationError, FormatError, InputError, naming
+from sightline.errors import EstimationError, FormatError, InputError, SightlineError, naming
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.trajectory import Trajectory
@@ -153,13 +154,14 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         check_seen(path, surface, cameras)
     else:
         sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
-        check_coverage(
-            path, surface, cameras, names, sweeps=sweeps,
-            otherwise=lambda camera: otherwise_written(config, camera, surface, files.fixed_from_given),
-        )  # fmt: skip
-        check_sampling(path, surface, cameras, names)
-        if len(cameras) > 1:
-            check_overlap(path, surface, cameras, names, still=bool(still))
+        with _absent_first(path, files.absent):
+            check_coverage(
+                path, surface, cameras, names, sweeps=sweeps,
+                otherwise=lambda camera: otherwise_written(config, camera, surface, files.fixed_from_given),
+            )  # fmt: skip
+            check_sampling(path, surface, cameras, names)
+            if len(cameras) > 1:
+                check_overlap(path, surface, cameras, names, still=bool(still))
     reference = cameras[0].trajectory
     sensors = tuple(read_sensor(entry, files, config, reference) for entry in config.attitude_sensor)
     exposed = np.concatenate([camera.times(np.array([0.0, camera.shape[0] - 1.0])) for camera in cameras])
@@ -205,6 +207,24 @@ def _still(config: AcquisitionFile, files: InputFolder, *, alone: bool) -> str:
     return "" if grid is None else grid.reason
 
 
+@contextmanager
+def _absent_first(path: Path, absent: Sequence[str]) -> Iterator[None]:
+    """What is wrong with images of which some are only described begins with those: they may be the cause."""
+    try:
+        yield
+    except SightlineError as error:
+        if not absent:
+            raise
+        text = str(error).removeprefix(f"{path}: ")
+        raise type(error)(f"{path}: {few_absent(absent)}; as described, {text}") from error
+
+
+def few_absent(absent: Sequence[str]) -> str:
+    """The first image that is not there, and how many more there are not."""
+    more = f" (and {len(absent) - 1} more images)" if len(absent) > 1 else ""
+    return f"{absent[0]}{more}"
+
+
 def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
     """What ``recover`` refuses before it matches anything, and what it will take.
 
@@ -224,7 +244,7 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
         raise InputError(f"{acquired.path}: {acquired.still}")
     if acquired.still:
         raise EstimationError(f"{acquired.path}: {acquired.still}")
-    with naming(acquired.path):
+    with _absent_first(acquired.path, acquired.absent), naming(acquired.path):
         if frames and acquired.spin is not None:
             spun = SpinOptions.from_matching(given)
             lags = max((pair.lag for pair in seen_again(frames)), default=1)
