@@ -41,7 +41,8 @@ def test_what_was_found_far_from_what_was_given_is_named():
     ]
     # 2 s long: from its middle to its end a drift goes as many rad as its rate is in rad/s
     grid = SimpleNamespace(step=1.0, count=3)
-    strip = SimpleNamespace(parameters=parameters, known=KnownContent(attitude_sigma=1e-3), grid=grid)
+    known = KnownContent(attitude_sigma=1e-3)
+    strip = SimpleNamespace(parameters=parameters, known=known, grid=grid, bands=())
     held = SimpleNamespace(constant_sigma=(1e-5, 1e-5, 1e-3), drift_sigma=(1e-5, 1e-5, 1e-3))
 
     def state(*statics, prior=held):
@@ -62,6 +63,34 @@ def test_what_was_found_far_from_what_was_given_is_named():
     # where nothing is given, yaw may turn as fast as its motion does
     wide = SimpleNamespace(constant_sigma=(1e-5, 1e-5, 1e-3), drift_sigma=(1e-5, 1e-5, 0.02))
     assert _far_off(strip, state(2.5, -7.5e-4, 2.5e-3, prior=wide), drifting) == []
+
+
+@pytest.mark.parametrize(
+    ("offsets", "named"),
+    [
+        # B1 and B0 look 14.8 px apart: the image of the one in the place of the other lies so far off. What
+        # cameras are off by anyway comes on top, two sigmas of 1 px at most
+        ({"B1": -14.8, "B0": 14.8}, True),
+        ({"B1": -13.0, "B0": 16.0}, True),
+        ({"B1": 14.8, "B0": -14.8}, False),
+        ({"B1": -14.8}, False),
+        ({"B1": -12.0, "B0": 12.0}, False),
+        ({"B0": -29.6, "B2": 29.6}, True),  # 29.6 px apart
+        ({"PAN": -14.8, "B1": 14.8}, False),
+    ],
+)
+@pytest.mark.parametrize("period", [5e-4, 4e-4])  # at .4 ms the ground passes .8 px a line
+def test_two_bands_that_lie_where_the_other_should_are_named(offsets, named, period):
+    scene = line_of_sight_case("nominal", 0, lines=200, columns=80, line_period=period)
+    strip = prepared(scene.as_given(), Plane(0.0), RecoverOptions())
+    statics = [offsets.get(p.name.removesuffix(" offset along"), 0.0) for p in strip.parameters]
+    held = SimpleNamespace(constant_sigma=(1e-5, 1e-5, 1e-3), drift_sigma=(1e-5, 1e-5, 1e-3))
+    state: Any = SimpleNamespace(estimate=SimpleNamespace(statics=np.array(statics)), prior=held)
+    (said,) = _far_off(strip, state, Motion(np.arange(3.0), np.zeros((3, 3))))
+    assert ("look exchanged" in said) == named
+    if named:
+        one, other = offsets
+        assert f"the images of {one} and {other} look exchanged" in said
 
 
 @pytest.mark.parametrize(

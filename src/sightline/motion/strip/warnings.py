@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.estimation.prior import Matern
 from sightline.estimation.search import SEEN_THROUGH
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.estimators.differences import YAW
@@ -17,6 +20,7 @@ from sightline.motion.measure.laid_strips import groups_of_pixels
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
+from sightline.motion.statics import ALONG
 from sightline.motion.strip.alternatives import agree, alternative, exchanged_bands
 from sightline.motion.strip.checks import windows_in_common
 from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
@@ -61,6 +65,8 @@ MUCH = 0.1
 WILD_PX = 5.0
 #: Sigmas stated beforehand by which what was found may be off, unsaid.
 FAR_OFF = 3.0
+#: Sigmas of an offset along by which it may differ from that of a band with another one's image.
+AS_EXCHANGED = 2.0
 
 
 def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool_]:
@@ -126,14 +132,7 @@ def out_of_step(strip: Strip) -> list[str]:
     for name, camera in zip((band.name for band in strip.bands), strip.nominal, strict=True):
         if camera.stages is None:
             continue
-        middle = np.array([[0.5 * (camera.lines - 1.0), 0.5 * (camera.columns - 1.0)]])
-        ahead = replace(camera, detector=camera.detector.adjusted(1.0))
-        here, pixel, line = (
-            one.locate(middle + np.array([lines, 0.0]), strip.surface)[0]
-            for one, lines in ((camera, 0.0), (ahead, 0.0), (camera, 1.0))
-        )
-        along = pixel - here
-        passed = float((line - here) @ along / (along @ along))
+        passed = _px_a_line(camera, strip.surface)
         most = int(np.max(camera.stages))
         smear = abs(passed - 1.0) * (most - 1)
         if smear > OUT_OF_STEP_PX:
@@ -143,6 +142,23 @@ def out_of_step(strip: Strip) -> list[str]:
                 "stages counts otherwise than is modelled; check line_period, altitude, speed and ifov"
             )
     return said
+
+
+def _middle(camera: PushbroomCamera) -> Array:
+    """(1, 2) px; the middle of an image."""
+    return np.array([[0.5 * (camera.lines - 1.0), 0.5 * (camera.columns - 1.0)]])
+
+
+def _px_a_line(camera: PushbroomCamera, surface: Surface) -> float:
+    """px along that the ground passes from line to line, in the middle of an image."""
+    middle = _middle(camera)
+    ahead = replace(camera, detector=camera.detector.adjusted(1.0))
+    here, pixel, line = (
+        one.locate(middle + np.array([lines, 0.0]), surface)[0]
+        for one, lines in ((camera, 0.0), (ahead, 0.0), (camera, 1.0))
+    )
+    along = pixel - here
+    return float((line - here) @ along / (along @ along))
 
 
 def _averaged_away(strip: Strip, state: StripState) -> list[str]:
@@ -342,10 +358,11 @@ def _factor_words(factors: tuple[float, ...]) -> str:
 
 def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     """Statics, constant angles and even rates far from what was given, by what was said of them."""
-    said = []
+    said, far = [], {}
     for parameter, value in zip(strip.parameters, state.estimate.statics, strict=True):
         ratio = abs(float(value)) / parameter.sigma
         if ratio > FAR_OFF:
+            far[parameter.name] = float(value)
             said.append(
                 f"{parameter.name} is {value:.3g} {parameter.unit}".rstrip() + f" ({ratio:.2g} sigmas)"
             )
@@ -365,11 +382,37 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     if not said:
         return []
     return [
-        f"far from what was given: {', '.join(said)}; check ifov or directions, look_ahead, rotation, line "
-        "times and attitudes, or the sigmas that are stated of them ([platform] attitude_sigma and "
-        "rate_sigma are 0.01 rad and 0.001 rad/s where they are not given; of yaw as much as its motion "
-        "goes, where that is more)"
+        f"far from what was given: {', '.join(said)}; {_exchanged(strip, far)}check ifov or directions, "
+        "look_ahead, rotation, line times and attitudes, or the sigmas that are stated of them ([platform] "
+        "attitude_sigma and rate_sigma are 0.01 rad and 0.001 rad/s where they are not given; of yaw as much "
+        "as its motion goes, where that is more)"
     ]
+
+
+def _exchanged(strip: Strip, far: Mapping[str, float]) -> str:
+    """Two bands whose images look exchanged, by what is far off of each; "" if none do.
+
+    The first pass finds lags within its search, so that each of the two matches where the other should, and
+    its offset along becomes the difference of their lags: forward in the one, backward in the other.
+    """
+    offsets = {k: far.get(f"{band.name} {ALONG}", np.nan) for k, band in enumerate(strip.bands)}
+    for i, j in combinations((k for k, offset in offsets.items() if np.isfinite(offset)), 2):
+        one, other = strip.bands[i], strip.bands[j]
+        if one.image.shape != other.image.shape:
+            continue
+        middle = _middle(strip.nominal[i])
+        seen = strip.nominal[j].project(strip.nominal[i].locate(middle, strip.surface))
+        lines = float((seen - middle)[0, 0])
+        if all(
+            abs(offsets[k] - sign * lines * _px_a_line(strip.nominal[k], strip.surface))
+            < AS_EXCHANGED * strip.bands[k].offset_sigma_px
+            for k, sign in ((i, -1.0), (j, 1.0))
+        ):
+            return (
+                f"the images of {one.name} and {other.name} look exchanged, as each lies where the other "
+                "should: give each band the other's image; or "
+            )
+    return ""
 
 
 def control_warnings(
