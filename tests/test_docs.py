@@ -139,6 +139,18 @@ def test_every_block_of_code_is_run_or_says_why_not(page):
             )
 
 
+def test_the_band_that_a_choice_was_set_for_is_one_that_an_acquisition_takes():
+    import tomllib
+
+    from sightline.io.acquisition.schema import BandSection
+
+    page = ROOT / "docs" / "tdi.md"
+    shown = [tomllib.loads(body) for _, language, body in blocks(page) if language == "toml"]
+    (band,) = next(one["band"] for one in shown if "band" in one)
+    found = BandSection(**band)
+    assert None not in (found.stages, found.stages_signal, found.time_reference)
+
+
 def test_every_command_of_a_page_has_its_options():
     import shlex
 
