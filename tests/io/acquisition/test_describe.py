@@ -73,7 +73,10 @@ def test_what_is_missing_is_named(folder):
     folder.replace('epoch = "2026-01-01T00:00:00Z"\n', "").add("[surface]\nheight_sigma = 20.0\n")
     missing = "\n".join(describe_acquisition(load_acquisition(folder.write()))["missing"])
     assert "epoch: without it no CCSDS file" in missing
-    assert "a DEM: the height's sigma" in missing
+    # 199 steps of 3.5 m from line to line
+    assert (
+        "a DEM: the height's sigma" in missing and "longer than some third of the strip, 0.696 km" in missing
+    )
     assert "exact focal-plane offsets of XS" in missing
     assert "sigma_absolute is infinite" in missing
 

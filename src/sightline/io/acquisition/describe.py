@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sightline.evaluation.band_words import passband_words
 from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.surface import Dem
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.acquisition.describe_spin import describe_spin, ground_words
 from sightline.io.acquisition.ground import ground_steps, sampling_doubts, shared_ground
@@ -276,7 +277,10 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         if sigma
     ]
     if acquisition.epoch is None:
-        lines.append("[acquisition] epoch: without it no CCSDS file can be written")
+        lines.append(
+            "[acquisition] epoch: without it no CCSDS file can be written, and `export` gives no stac, nor "
+            "csm, isd, ck and isis unless a sensor model brings the instant"
+        )
     if not acquisition.sensors and acquisition.control_points is None:
         lines.append("attitude sensors or control points: without them sigma_absolute is infinite")
     if acquisition.assumed:
@@ -285,13 +289,26 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
             "height_sigma, or a dem"
         )
     if acquisition.height_sigma > 0.0:
-        lines.append("a DEM: the height's sigma widens that of pitch")
+        lines.append(f"a DEM: the height's sigma widens that of pitch{_long_hills(acquisition)}")
     free = [band.name for band in acquisition.bands if band.offset_sigma_px > 0.0]
     if free and len(acquisition.bands) == 1:
         lines.append(f"exact focal-plane offset of {free[0]}: sigma_absolute cannot be less than its sigma")
     elif free:
         lines.append(f"exact focal-plane offsets of {', '.join(free)}: a steady drift is hidden by them")
     return lines
+
+
+def _long_hills(acquisition: Acquisition) -> str:
+    """What no height_sigma holds: hills so long beside the strip that they are curves of pitch and yaw."""
+    camera = acquisition.cameras[0]
+    along, _ = ground_steps(camera, acquisition.surface)
+    if isinstance(acquisition.surface, Dem) or not np.isfinite(along):
+        return ""
+    length = 1e-3 * along * (camera.shape[0] - 1)
+    return (
+        f"; of hills longer than some third of the strip, {length:.3g} km, it does not hold all: they are "
+        "curves of pitch and yaw, whose sigma may be several times too small"
+    )
 
 
 def _observable(
