@@ -88,6 +88,17 @@ def test_a_tone_below_three_sigma_is_hardly_seen_and_not_found():
             assert (tone.amplitude >= 3.0 * tone.sigma_amplitude) is (tone in tones.found)
 
 
+def test_a_tone_that_chance_makes_beside_the_error_is_hardly_seen():
+    result = estimate(hidden_error(0.03), 1)
+    # 0.3 is ten sigma of that error; at 47 Hz an error of unknown size says nothing of either
+    blind = np.zeros((N // 2 + 1, 3))
+    blind[45:50] = np.inf
+    for error, found in ((np.zeros_like(blind), 3), (blind, 0)):
+        alone = detect_tones(result.motion, lowest=40.0, highest=54.0, error_psd=error)
+        tones = judged_tones(result, alone)
+        assert (len(tones.found), len(tones.hardly_seen)) == (found, 3 - found)
+
+
 def test_the_whole_covariance_of_frames_gives_the_same_sigmas():
     c = hidden_error(0.03)
     one, other = estimate(c, 2), estimate(c, 2, whole=True)

@@ -18,8 +18,9 @@ from sightline.motion.tones import AXES, DetectedTone, evenly_detrended, hann, n
 
 Array = NDArray[np.float64]
 
-#: A tone is found where its amplitude is so many of its sigmas; below, it is hardly seen.
-FOUND_SIGMAS = 3.0
+#: A tone is found where its amplitude is so many of its sigmas, and chance beside the motion's error makes
+#: one no more often than so; else it is hardly seen.
+FOUND_SIGMAS, FOUND_CHANCE = 3.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,9 @@ class JudgedTones:
     Attributes
     ----------
     found : tuple of DetectedTone
-        Amplitude of 3 sigma or more.
+        Amplitude of 3 sigma or more, and a `false_alarm` of 1e-3 or less.
     hardly_seen : tuple of DetectedTone
-        Less: the estimate shrinks what it does not see; there may be no tone, or a larger one.
+        The others: the estimate shrinks what it does not see; there may be no tone, or a larger one.
     """
 
     found: tuple[DetectedTone, ...]
@@ -45,7 +46,8 @@ def judged_tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> JudgedTo
     ----------
     result : LineOfSight
     tones : sequence of DetectedTone
-        As ``motion.tones.detect_tones`` finds them in its motion, with the scatter around each peak.
+        As ``motion.tones.detect_tones`` finds them in its motion, with the scatter around each peak, their
+        probabilities beside the error of it (``error_spectrum.error_psd``).
 
     Notes
     -----
@@ -61,7 +63,10 @@ def judged_tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> JudgedTo
     """
     wider = _with_error_of_motion(result, tones) if tones else []
     again = [tone for axis in AXES for tone in named([tone for tone in wider if tone.axis == axis])]
-    seen = [tone.amplitude >= FOUND_SIGMAS * tone.sigma_amplitude for tone in again]
+    seen = [
+        tone.amplitude >= FOUND_SIGMAS * tone.sigma_amplitude and tone.false_alarm <= FOUND_CHANCE
+        for tone in again
+    ]
     return JudgedTones(
         tuple(tone for tone, found in zip(again, seen, strict=True) if found),
         tuple(tone for tone, found in zip(again, seen, strict=True) if not found),

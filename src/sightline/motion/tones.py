@@ -74,7 +74,8 @@ class DetectedTone:
     width : float
         Hz; spread of the peaks that were counted as this tone; 0 for a steady one.
     false_alarm : float
-        Probability that the axis shows so strong a peak, anywhere, without any tone.
+        Probability that the axis shows so strong a peak, anywhere, without any tone; beside the error of the
+        motion there, where that is known.
     error_frequency, error_amplitude : float
         Hz, rad; the part of the sigmas that the error of an estimated motion makes: against a sine fitted to
         the true motion of the same strip. 0 for an exact motion.
@@ -124,6 +125,7 @@ def detect_tones(
     lowest: float | None = None,
     highest: float | None = None,
     limit: int = 12,
+    error_psd: Array | None = None,
 ) -> tuple[DetectedTone, ...]:
     """Tones of every axis, by axis and rising frequency.
 
@@ -138,6 +140,10 @@ def detect_tones(
         Hz; where to look. By default from `lowest_sought`, 8/T, to Nyquist; never lower.
     limit : int
         Most peaks taken per axis.
+    error_psd : (F, 3), optional
+        rad^2/Hz, one-sided; of the motion's error at the frequencies of `spectrum`. It has peaks where the
+        motion is hardly seen, which no neighbours tell: the `false_alarm` of a tone is that of its peak
+        beside the level around it and this error. What is looked for is what stands out of the level.
 
     Returns
     -------
@@ -165,27 +171,43 @@ def detect_tones(
     found: list[DetectedTone] = []
     for axis, name in enumerate(AXES):
         if x[:, axis].any():
-            peaks = _peaks(x[:, axis], step, false_alarm, bounds, limit)
+            error = None if error_psd is None else error_psd[:, axis]
+            peaks = _peaks(x[:, axis], step, false_alarm, bounds, limit, error)
             found += named([replace(tone, axis=name) for tone in _merged(peaks, 1.0 / (step * len(x)))])
     return tuple(found)
 
 
 def _peaks(
-    x: Array, step: float, false_alarm: float, bounds: tuple[float, float], limit: int
+    x: Array,
+    step: float,
+    false_alarm: float,
+    bounds: tuple[float, float],
+    limit: int,
+    error: Array | None,
 ) -> list[DetectedTone]:
     """Peaks of one axis from the strongest on, each removed before the next is sought."""
     rest, tones = x.copy(), []
     for _ in range(limit):
         ratio, level, freedom, frequency = _ratios(rest, step)
         inside = (frequency >= bounds[0]) & (frequency <= bounds[1])
-        chance = np.minimum(1.0, np.count_nonzero(inside) * (1.0 + ratio / freedom) ** -freedom)
-        significant = inside & (chance <= false_alarm)
+        count = int(np.count_nonzero(inside))
+        significant = inside & (_chance(ratio, freedom, count) <= false_alarm)
         if not significant.any():
             break
         best = int(np.argmax(np.where(significant, ratio, 0.0)))
-        tone, rest = _fitted(rest, step, float(frequency[best]), float(level[best]), float(chance[best]))
+        beside = ratio
+        if error is not None:
+            # of the frequencies of the whole spectrum those that were looked at; infinite: nothing is seen
+            beside = ratio * level / (level + error[-1 - len(level) : -1])
+        chance = float(_chance(beside, freedom, count)[best])
+        tone, rest = _fitted(rest, step, float(frequency[best]), float(level[best]), chance)
         tones.append(tone)
     return tones
+
+
+def _chance(ratio: Array, freedom: Array, count: int) -> Array:
+    """Probability that one of `count` frequencies has such a ratio to its level (see `detect_tones`)."""
+    return np.asarray(np.minimum(1.0, count * (1.0 + ratio / freedom) ** -freedom))
 
 
 def _ratios(x: Array, step: float) -> tuple[Array, Array, Array, Array]:

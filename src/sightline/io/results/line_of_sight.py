@@ -199,7 +199,9 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     in_px = remove_directions(result.motion.angles / result.scale, result.hidden, result.scale)
     visible = in_px * result.scale
     give_back_memory()
-    tones = judged_tones(result, detect_tones(result.motion, highest=min(upper, _row_nyquist(result))))
+    error = error_psd(result, spectrum(result.motion).frequency)
+    highest = min(upper, _row_nyquist(result))
+    tones = judged_tones(result, detect_tones(result.motion, highest=highest, error_psd=error))
     give_back_memory()
     strip = _is_strip(acquisition)
     bands = dict(zip(ANGLES, seen.passbands, strict=True))
