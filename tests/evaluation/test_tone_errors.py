@@ -24,11 +24,11 @@ def hidden_error(size: float):
     return toeplitz(size**2 * np.exp(-np.pi * 0.5 * T) * np.cos(2 * np.pi * 47.0 * T))
 
 
-def estimate(c, seed: int, whole: bool = False) -> SimpleNamespace:
+def estimate(c, seed: int, whole: bool = False, size: float = 0.3) -> SimpleNamespace:
     """A tone of amplitude 0.3 on every axis with such an error; all that `judged_tones` asks of a result."""
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(c + 1e-9 * c[0, 0] * np.eye(N))
-    wave = 0.3 * np.sin(2 * np.pi * 47.0 * T[:, None] + rng.uniform(0, 2 * np.pi, 3))
+    wave = size * np.sin(2 * np.pi * 47.0 * T[:, None] + rng.uniform(0, 2 * np.pi, 3))
     moved = wave + root @ rng.standard_normal((N, 3)) + SCATTER * rng.standard_normal((N, 3))
     if whole:  # unknown 3 * node + axis
         full = np.kron(c, np.eye(3))
@@ -86,6 +86,20 @@ def test_a_tone_below_three_sigma_is_hardly_seen_and_not_found():
         assert len(tones.hardly_seen) == 3 - found
         for tone in (*tones.found, *tones.hardly_seen):
             assert (tone.amplitude >= 3.0 * tone.sigma_amplitude) is (tone in tones.found)
+
+
+def test_the_error_of_a_strip_makes_tones_no_more_often_than_stated():
+    # no tone, and no density of the error, as beside a blind frequency, where it is one of an endless strip
+    c, alone, judged = hidden_error(0.03), 0, 0
+    for seed in range(100):
+        result = estimate(c, seed, size=0.0)
+        peaks = detect_tones(result.motion)
+        tones = judged_tones(result, peaks)
+        alone += len({tone.axis for tone in peaks if tone.false_alarm < 0.01})
+        judged += len({t.axis for t in (*tones.found, *tones.hardly_seen) if t.false_alarm < 0.01})
+    assert alone > 200
+    # of 300 axes at 1 %: 3, sd 1.7, three of them on top
+    assert judged <= 8
 
 
 def test_a_tone_that_chance_makes_beside_the_error_is_hardly_seen():

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 #: A tone is found where its amplitude is so many of its sigmas, and chance beside the motion's error makes
 #: one no more often than so; else it is hardly seen.
 FOUND_SIGMAS, FOUND_CHANCE = 3.0, 1e-3
+#: Width about a blind frequency, in units of one over the length of a strip.
+BLIND_WIDTH = 2.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,8 @@ def judged_tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> JudgedTo
 
     e the error of the motion. Their variance under the covariance of the motion (`error_*`) is that against a
     sine fitted to the true motion. That of the scatter around the peak is added: other motion at the tone's
-    frequency, by which even the true motion's sine differs from that of its source.
+    frequency, by which even the true motion's sine differs from that of its source. Nor is a tone less likely
+    to be chance than a sine of that variance in each of its phases makes one of its amplitude.
     """
     wider = _with_error_of_motion(result, tones) if tones else []
     again = [tone for axis in AXES for tone in named([tone for tone in wider if tone.axis == axis])]
@@ -83,11 +86,22 @@ def _with_error_of_motion(result: LineOfSight, tones: Sequence[DetectedTone]) ->
             tone,
             sigma_amplitude=math.hypot(tone.sigma_amplitude, amplitude),
             sigma_frequency=math.hypot(tone.sigma_frequency, frequency),
+            false_alarm=max(tone.false_alarm, _chance(tone.amplitude, tone.sigma_amplitude, amplitude)),
             error_amplitude=amplitude,
             error_frequency=frequency,
         )
         for tone, (amplitude, frequency) in zip(tones, error.tolist(), strict=True)
     ]
+
+
+def _chance(amplitude: float, *sigmas: float) -> float:
+    """Probability that errors of these sigmas of an amplitude make one so large where there is no tone.
+
+    The density of the motion's error is that of an endless strip, less than a strip has within one over its
+    length of a frequency where it is blind: of crests there so many are so high (`search.gain_of_chance`).
+    """
+    gain = 0.5 * amplitude**2 / max(sum(sigma**2 for sigma in sigmas), 1e-300)
+    return min(1.0, (1.0 + BLIND_WIDTH * math.sqrt(math.pi * gain / 3.0)) * math.exp(-gain))
 
 
 def _weights(result: LineOfSight, tone: DetectedTone, step: float, x: Array) -> Array:
