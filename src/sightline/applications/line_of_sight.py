@@ -101,6 +101,7 @@ from sightline.motion.strip.warnings import (
     strip_warnings,
 )
 from sightline.motion.strip.withheld import contradictions, judged, withheld_numbers, without_pairs
+from sightline.motion.tones import hann
 from sightline.result import makes_result
 from sightline.stages import Stages
 from sightline.writing import let_go
@@ -122,6 +123,8 @@ DRAFT_LEFT = 0.25
 DRAFT_WORK = 0.5
 #: A given spectrum that moves the motion by more of its sigmas is not that of the motion.
 FOREIGN_SPECTRUM = 3.0
+#: Share of a change of the motion that lies about one frequency: most of it.
+MOST_OF_CHANGE = 0.5
 #: Windows by which shapes of detector lines are found: narrow, and of enough lines to match well.
 SHAPE_WINDOW = (10, 32)
 #: px of all bands together that are read at once (32 MB).
@@ -150,7 +153,8 @@ _AFTER, _WHOLE, _GIVEN = "pass-{}", "pass-last", "pass-given"
 class _Passed:
     """What is known after a pass.
 
-    `changes` are by how much each pass so far changed the motion, `left` by how much a given spectrum did;
+    `changes` are by how much each pass so far changed the motion, `at` (Hz) about which frequency most of the
+    last of them lies, if about any, `left` by how much a given spectrum did;
     `shapes` are those that were found of detector lines, `order` that in which windows are cut from the
     bands, `window` and `step` what they were matched by, or will be in the next pass.
     """
@@ -159,6 +163,7 @@ class _Passed:
     state: StripState
     changes: tuple[float, ...] = ()
     left: float = 0.0
+    at: float = 0.0
     shapes: Shapes = ()
     order: tuple[int, ...] = ()
     window: tuple[int, int] = RecoverOptions.window
@@ -319,10 +324,12 @@ def joint_line_of_sight(
             options = finer_rows(options, strip.bands, [record.star for record in state.records])
         step = steps_of(tell, f"pass {number + 1} of at most {options.passes}: matching")
         refined = _compensated_pass(draft, state, number, options, height_sigma, tell, step)
-        changes = (*passed.changes, _change(draft, state, refined))
+        change = _change(draft, state, refined)
+        at = _changed_about(draft, state, refined) if change > 1.0 else 0.0
         # without its factors, which lie in memory and on disk as long as it does
         refined = replace(refined, estimate=replace(refined.estimate))
-        passed = replace(passed, name=names[number + 1], state=refined, changes=changes)
+        changes = (*passed.changes, change)
+        passed = replace(passed, name=names[number + 1], state=refined, changes=changes, at=at)
         passed = _kept(stages, names, passed.matched_by(options))
         del refined  # the next pass holds the windows of this one but for what is heavy of them
     if wide and passed.name not in (_WHOLE, _GIVEN):
@@ -351,7 +358,7 @@ def joint_line_of_sight(
     give_back_memory()
     withheld = judged(strip, state, options)
     give_back_memory()
-    result = replace(_result(strip, state, passed.changes, options, draft), withheld=withheld)
+    result = replace(_result(strip, state, passed, options, draft), withheld=withheld)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state))
     tdi = any(band.camera.stages is not None for band in strip.bands)
     warnings = (*result.warnings, *warnings, *contradictions(withheld, tdi=tdi))
@@ -361,7 +368,8 @@ def joint_line_of_sight(
 def controlled_line_of_sight(strip: Strip) -> LineOfSight:
     """The motion of a strip of one band that was prepared and checked, from its control points."""
     strip, state, fit = solve_by_control(strip)
-    return replace(_result(strip, state, (), RecoverOptions(), strip, fit), control=fit)
+    passed = _Passed("", state)
+    return replace(_result(strip, state, passed, RecoverOptions(), strip, fit), control=fit)
 
 
 def _resumed(stages: Stages, names: Sequence[str]) -> _Passed | None:
@@ -709,6 +717,17 @@ def _change(strip: Strip, old: StripState, new: StripState) -> float:
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
 
+def _changed_about(strip: Strip, old: StripState, new: StripState) -> float:
+    """Frequency (Hz) about which most of a change of the motion in px lies; 0 where it does about none."""
+    t = strip.grid.nodes
+    directions = new.estimate.hidden_directions(new.estimate.hidden_drifts)
+    moved = less_directions(new.estimate.nodes - angles_at(old.estimate, t), directions, strip.scale)
+    power = (np.abs(np.fft.rfft(moved / strip.scale * hann(len(t))[:, None], axis=0)) ** 2).sum(axis=1)
+    top = int(np.argmax(power))
+    about = power[max(top - 2, 0) : top + 3].sum()
+    return top / (len(t) * strip.grid.step) if about > MOST_OF_CHANGE * power.sum() else 0.0
+
+
 def _relief(strip: Strip, state: StripState) -> RowRelief | None:
     """The ground that was found, at the exposures of the image whose rows carry it."""
     estimate = state.estimate
@@ -739,7 +758,7 @@ def _functionals(estimate: JointEstimate, model: PriorModel, t: Array, turn: Arr
 def _result(
     strip: Strip,
     state: StripState,
-    changes: tuple[float, ...],
+    passed: _Passed,
     options: RecoverOptions,
     draft: Strip,
     fit: ControlFit | None = None,
@@ -795,7 +814,7 @@ def _result(
         after_px=state.post_px,
         cameras=cameras,
         image_names=tuple(b.name for b in strip.bands),
-        changes=changes,
+        changes=passed.changes,
         sensors=() if estimate.ties is None else uses(estimate.ties, estimate.own, estimate.own_sigma),
         band=TimeCovariance(
             strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
@@ -804,7 +823,14 @@ def _result(
         relief=_relief(strip, state),
         lines=lines,
         warnings=strip_warnings(
-            strip, state, motion, observed, list(changes), options, DRAFT_LEFT if draft.draft else 1.0
+            strip,
+            state,
+            motion,
+            observed,
+            list(passed.changes),
+            options,
+            DRAFT_LEFT if draft.draft else 1.0,
+            passed.at,
         )
         if fit is None
         else control_warnings(strip, state, motion, observed, fit),

@@ -23,6 +23,9 @@ Passbands = tuple[tuple[float, float], ...]
 
 #: Periods by which a time may differ from a whole number of them.
 WHOLE_PERIODS = 1e-6
+#: Pairs are blind together where their differences hold no more than this share of what they hold at most, on
+#: average: six hundredths of a tone's amplitude. Lags of 150, 157.4 and 172.2 ms are nowhere up to 300 Hz.
+BLIND_TOGETHER = 1e-3
 #: Places at which the least gain of a gap is sought.
 GAP_SAMPLES = 401
 
@@ -77,6 +80,30 @@ def blind_frequencies(lag: float, upper: float) -> Array:
     first = 1.0 / abs(lag)
     count = math.floor(upper / first * (1.0 + 1e-12))
     return np.asarray(first * np.arange(1, count + 1))
+
+
+def blind_together(lags: Sequence[float], weights: Sequence[float], upper: float) -> Array:
+    """Frequencies (Hz), rising, up to `upper` that all pairs are blind to, the constant apart.
+
+    Parameters
+    ----------
+    lags : sequence of float, s
+    weights : sequence of float
+        How much each pair tells: its number of rows, or of windows.
+    upper : float, Hz
+
+    Examples
+    --------
+    >>> blind_together([0.0375, 0.075], [1.0, 1.0], 100.0).round(3)
+    array([26.667, 53.333, 80.   ])
+    >>> len(blind_together([0.15, 0.1574, 0.1722], [1.0, 1.0, 1.0], 300.0))
+    0
+    """
+    _check_lags(lags)
+    # where all are blind each is: of the pair that tells most
+    f = blind_frequencies(lags[int(np.argmax(np.abs(np.multiply(lags, weights))))], upper)
+    share = np.sin(math.pi * np.outer(f, lags)) ** 2
+    return np.asarray(f[np.average(share, axis=1, weights=weights) < BLIND_TOGETHER])
 
 
 def averaged_away(times: Sequence[float], upper: float) -> Array:

@@ -17,6 +17,7 @@ from sightline.motion.strip import hidden, hyper
 from sightline.motion.strip.hyper import (
     BROAD,
     PriorModel,
+    _blind_modes,
     _corners_elsewhere,
     _own_share,
     _shown,
@@ -421,6 +422,42 @@ def test_blur_that_is_taken_off_is_doubted_by_the_motion_that_it_would_be(monkey
         estimates.with_blur_errors(strip, SimpleNamespace(**{**vars(state), "records": without}))
         == hyper.BROAD
     )
+
+
+def test_what_moves_where_all_pairs_are_blind_may_be_of_each_axis() -> None:
+    grid = TimeGrid(0.0, STEP, 700)
+    rng = np.random.default_rng(3)
+    # the rms of the amplitude that its error, white of 0.02, makes: 0.02 (6 / 700)^(1/2) = 0.002
+    nodes = 0.02 * rng.standard_normal((700, 3)) + np.sin(2 * np.pi * 2.0 * grid.nodes)[:, None]
+
+    def functional_covariance(_, weights):
+        return 0.02**2 * np.einsum("nak,nal->kl", weights, weights)
+
+    def modes(*lags, moves=0.0, tones=((50.0, 0.2),), pixel=(1.0, 1.0, 1.0)):
+        moved = nodes + np.outer(moves * np.sin(2 * np.pi * 53.2 * grid.nodes), [0.0, 0.0, 1.0])
+        estimate = SimpleNamespace(grid=grid, nodes=moved, functional_covariance=functional_covariance)
+        t = np.linspace(0.0, 0.7 - max(lags), 150)
+        differences = [SimpleNamespace(t=t, lag=np.full(150, lag)) for lag in lags]
+        roll = Spectrum((*BROAD.spectra[0].components, *(Tone(size, f, 0.1) for f, size in tones)))
+        found = (roll, BROAD.spectra[1], BROAD.spectra[2])
+        return _blind_modes(found, differences, estimate, np.array(pixel), 0.7)  # type: ignore[arg-type]
+
+    # a tone of yaw of 0.02 is ten times that: of each axis one of half the variance of that of 50 Hz,
+    # which falls as f^-3
+    each = modes(0.0375, 0.075, moves=0.02, pixel=(1.0, 1.0, 3.0), tones=((50.0, 0.2), (44.0, 0.01)))
+    for size, (tone,) in zip((1.0, 1.0, 3.0), each, strict=True):
+        assert tone.frequency == pytest.approx(2.0 / 0.0375)
+        assert tone.sigma == pytest.approx(size * 0.2 * np.sqrt(0.5 * (50.0 * 0.0375 / 2.0) ** 3), rel=0.01)
+    none = ((), (), ())
+    # nothing moves, a pair sees it, roll shows it by itself, or no tone tells how large one may be
+    assert modes(0.0375, 0.075) == none
+    assert modes(0.0375, 0.07, moves=0.02) == none
+    assert modes(0.0375, 0.075, moves=0.02, tones=((50.0, 0.2), (52.9, 0.2))) == none
+    assert modes(0.0375, 0.075, moves=0.02, tones=()) == none
+    model = replace(BROAD, blind=each)
+    assert [s.components[-1] for s in model.estimated().spectra] == [tone for (tone,) in each]
+    assert not model.estimated().estimated().unseen_variance.any()
+    assert model.whole() == model.estimated().spectra
 
 
 def test_what_blur_shows_of_hidden_motion_is_estimated_and_no_error_of_its_own() -> None:

@@ -23,7 +23,9 @@ from sightline.motion.strip.warnings import (
     _far_off,
     _hidden_by_stages,
     _large_hidden,
+    _unsettled,
     _why_unmatched,
+    blind_warnings,
     compared_through,
     out_of_step,
 )
@@ -196,6 +198,39 @@ def test_modes_that_stages_hide_and_rows_do_not_tell_of_are_named_where_sigma_ho
     flat = (Spectrum((TabulatedPsd((0.0, 100.0), (1e-12, 1e-12)),)),) * 3
     strip.known = KnownContent(spectra=flat)
     assert _hidden_by_stages(strip, state(20.0, spectra=flat, blur_shows=False), motion) == []
+
+
+def matched(*lags: float, tones: Any = ((), (), ())) -> SimpleNamespace:
+    """A second of matches at these lags, of a motion of 50 and, about another axis, 41 Hz."""
+    t_hub = np.linspace(0.0, 1.0, 300)
+    star = SimpleNamespace(
+        present=np.ones((300, len(lags)), bool),
+        t_hub=t_hub,
+        t=t_hub[:, None] + np.array(lags),
+        stretches=lambda: [slice(None)],
+    )
+    spectra = [Spectrum((*BROAD.spectra[0].components, Tone(0.2, f, 0.1))) for f in (50.3, 41.0)]
+    model = PriorModel((spectra[0], spectra[1], spectra[1]), blind=tones)
+    return SimpleNamespace(records=[SimpleNamespace(star=star)], model=model)
+
+
+def test_frequencies_that_all_pairs_are_blind_to_are_named_where_modes_are_not_unlikely() -> None:
+    # multiples of 1 / 37.5 ms up to one and a half times 50.3 Hz, in 1.075 s
+    (said,) = blind_warnings(matched(0.0375, 0.075))
+    assert "blind at 26.7, 53.3 Hz: nothing is known of a tone there" in said and "within 0.93 Hz" in said
+    assert "those of 41, 50 Hz; sigma holds none but those that were found" in said
+    (said,) = blind_warnings(matched(0.0375, 0.075, tones=((Tone(0.1, 53.3, 0.3),),) * 3))
+    assert "Something moves at 53.3 Hz" in said and "of each" in said
+    # lags that differ leave no frequency in common; 1 / 12 ms is far beyond what is seen
+    assert blind_warnings(matched(0.15, 0.1574, 0.1722)) == blind_warnings(matched(0.012)) == []
+
+
+def test_passes_that_change_what_no_pair_sees_blame_no_camera() -> None:
+    strip: Any = SimpleNamespace(bands=[SimpleNamespace(camera=SimpleNamespace(stages=None))])
+    state = matched(0.0375, 0.075)
+    assert "about 53.1 Hz: all pairs of bands are blind at 53.3 Hz" in _unsettled(strip, state, 2.0, 53.1)
+    for elsewhere in (0.0, 47.0):
+        assert "check the camera description, or allow more" in _unsettled(strip, state, 2.0, elsewhere)
 
 
 def test_bands_are_compared_through_the_one_that_windows_of_two_others_were_cut_from() -> None:

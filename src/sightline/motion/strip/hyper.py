@@ -20,12 +20,13 @@ from scipy.linalg import matmul_toeplitz
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum, TabulatedPsd, Tone
-from sightline.estimation.search import SAME_TONE, SETTLED
+from sightline.estimation.search import SAME_TONE, SETTLED, seen_modes
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
 from sightline.motion.estimators.differences import PITCH, ROLL, YAW, AngleDifferences
 from sightline.motion.measure.observations import Star
+from sightline.motion.observability import blind_together
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.tied_axes import TiedEvidence, fit_tied
@@ -66,6 +67,13 @@ DETAIL = (7.6, 4.7, 12.5)
 #: rad and rad/s; how far constant angles and even rates may be from the reference attitude where nothing is
 #: given.
 ATTITUDE_SIGMA, RATE_SIGMA = 1e-2, 1e-3
+#: Modes are not unlikely up to so many times the highest frequency of those that are seen.
+NOT_FAR = 1.5
+#: Where all pairs are blind, in units of one over the length of the data: from where on a tone beside is no
+#: longer seen in a Hann window, where it is compared with what lies beside it, and width of a tone there.
+FLANKS, BESIDE, BLIND_WIDTH = 4.0, (6.0, 7.0, 8.0), 0.25
+#: Probability that chance shows one there.
+CHANCE = 1e-3
 #: Fewest rows of windows that tell of a pair's differences.
 FEWEST_ROWS = 8
 
@@ -87,16 +95,22 @@ class PriorModel:
     unseen: tuple[tuple[Tone, ...], ...] = ((), (), ())
     products: tuple[tuple[Tone | TabulatedPsd, ...], ...] = ((), (), ())
     blur_shows: bool = False
+    blind: tuple[tuple[Tone, ...], ...] = ((), (), ())
 
     def estimated(self) -> PriorModel:
         """The model whose spectra hold all that is estimated."""
-        return replace(self, spectra=self.whole(), unseen=((), (), ())) if self.blur_shows else self
+        none: tuple[tuple[Tone, ...], ...] = ((), (), ())
+        if self.blur_shows:
+            return replace(self, spectra=self.whole(), unseen=none, blind=none)
+        if any(self.blind):
+            return replace(self, spectra=replace(self, unseen=none).whole(), blind=none)
+        return self
 
     def whole(self) -> tuple[Spectrum, Spectrum, Spectrum]:
-        """The spectra with what TDI averages away."""
+        """The spectra with what TDI averages away, and with what may be where all pairs are blind."""
         roll, pitch, yaw = (
-            Spectrum((*s.components, *more)) if more else s
-            for s, more in zip(self.spectra, self.unseen, strict=True)
+            Spectrum((*s.components, *hidden, *blind)) if hidden or blind else s
+            for s, hidden, blind in zip(self.spectra, self.unseen, self.blind, strict=True)
         )
         return roll, pitch, yaw
 
@@ -599,12 +613,16 @@ def fit_prior_model(
     hidden = [roll.hidden, pitch.hidden, yaw.hidden]
     if start is not None and start.blur_shows:
         hidden = [old or new for old, new in zip(start.unseen, hidden, strict=True)]
+    blind = _blind_modes([one.as_found for one in first], differences, estimate, pixel, length)
+    if start is not None and any(start.blind):
+        blind = start.blind
     model = PriorModel(
         (spectra[0], spectra[1], spectra[2]),
         (scales[0], scales[1], scales[2]),
         (hidden[0], hidden[1], hidden[2]),
         ((), (), ()) if blur_shows else (roll.products, pitch.products, yaw.products),
         blur_shows,
+        blind,
     )
     return model.with_turns(length, drift_alone=across is not None)
 
@@ -637,6 +655,87 @@ def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> li
             elif not near and all(abs(tone.frequency - one.frequency) > apart for one in own):
                 out.append(replace(tone, sigma=size))
     return out
+
+
+def _blind_modes(
+    found: Sequence[Spectrum],
+    differences: Sequence[AngleDifferences],
+    estimate: JointEstimate,
+    pixel: Array,
+    length: float,
+) -> tuple[tuple[Tone, ...], ...]:
+    """Tones (rad) that roll, pitch and yaw may have where all pairs are blind and the estimate shows one.
+
+    Parameters
+    ----------
+    found : three Spectrum
+        With the tones that the differences of each axis show by themselves.
+    differences, estimate
+        As for `angle_differences`.
+    pixel : (3,)
+        rad
+    length : float
+        s; of the data.
+
+    Notes
+    -----
+    Bands that look ahead are moved across by yaw itself, not by a difference of it, by as much more as they
+    look farther ahead: as a tone of roll beside a frequency to which all pairs are blind moves them. Which
+    of the two it is no match tells, and differences, about an estimate that has taken one of them, show
+    nothing of the other. A tone of such a frequency in the estimate of any axis is taken for a mode
+    that may be of each, as large as the strongest that are seen: with the odds of one to one.
+    """
+    none: tuple[tuple[Tone, ...], ...] = ((), (), ())
+    tones = [(t.frequency, (t.sigma / px) ** 2) for s, px in zip(found, pixel, strict=True) for t in s.tones]
+    if not tones:
+        return none
+    frequency, variance = np.array(tones).T
+    lags = [float(np.median(d.lag)) for d in differences]
+    together = blind_together(lags, [len(d.t) for d in differences], NOT_FAR * float(frequency.max()))
+    strength, _, strong = seen_modes(frequency, variance)
+    # what an axis shows there by itself its spectrum holds
+    blind = [f for f in together.tolist() if np.abs(strong - f).min() > SAME_TONE / length]
+    some = [f for f in blind if _moves_at(f, 3 * len(blind), found, differences, estimate, length)]
+    return tuple(
+        tuple(Tone(px * math.sqrt(0.5 * strength / f**3), f, BLIND_WIDTH / length) for f in some)
+        for px in pixel.tolist()
+    )
+
+
+def _moves_at(
+    frequency: float,
+    trials: int,
+    found: Sequence[Spectrum],
+    differences: Sequence[AngleDifferences],
+    estimate: JointEstimate,
+    length: float,
+) -> bool:
+    """Whether the estimate of an axis moves at a frequency (Hz) as its error and its jitter hardly ever do.
+
+    Of so many `trials`; not of an axis that has tones so near that their flanks reach there.
+    """
+    first = min(float(np.minimum(d.t, d.t + d.lag).min()) for d in differences)
+    last = max(float(np.maximum(d.t, d.t + d.lag).max()) for d in differences)
+    inside = (estimate.grid.nodes >= first) & (estimate.grid.nodes <= last)
+    t = estimate.grid.nodes[inside]
+    u = (t - 0.5 * (first + last)) / (0.5 * (last - first))
+    places = frequency + np.array([0.0, *BESIDE, *(-f for f in BESIDE)]) / length
+    window = np.cos(0.5 * math.pi * u) ** 2
+    waves = (2.0 * window / window.sum())[:, None] * np.exp(2j * math.pi * np.outer(t, places))
+    drift = np.polynomial.legendre.legvander(u, 3)
+    for axis, spectrum in enumerate(found):
+        if any(abs(tone.frequency - frequency) < FLANKS / length for tone in spectrum.tones):
+            continue
+        angles = estimate.nodes[inside, axis]
+        rest = angles - drift @ np.linalg.lstsq(drift, angles, rcond=None)[0]
+        power = np.abs(waves.T @ rest) ** 2
+        weights = np.zeros((len(t), 3, 2))
+        weights[:, axis] = np.stack([waves[:, 0].real, waves[:, 0].imag], axis=1)
+        error = float(np.trace(estimate.functional_covariance(t, weights)))
+        # without a tone an exponential of that mean
+        if power[0] > (error + power[1:].mean()) * math.log(trials / CHANCE):
+            return True
+    return False
 
 
 def _odds_of_sharing(own: Spectrum, other: Spectrum, apart: float, chance: float) -> float:

@@ -19,6 +19,7 @@ from sightline.motion.estimators.differences import YAW
 from sightline.motion.measure.laid_strips import groups_of_pixels
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.measure.windows import near_instants
+from sightline.motion.observability import blind_together
 from sightline.motion.results import ControlFit
 from sightline.motion.statics import ALONG
 from sightline.motion.strip.alternatives import agree, alternative, exchanged_bands
@@ -26,6 +27,7 @@ from sightline.motion.strip.checks import windows_in_common
 from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hidden import likely_modes
+from sightline.motion.strip.hyper import NOT_FAR
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.shape import shape_warnings
 from sightline.motion.strip.strip import RecoverOptions, Strip
@@ -45,8 +47,8 @@ ENOUGH_FIELD = 0.3
 #: px; smear over TDI stages that do not follow the ground: half a pixel is what designs allow.
 OUT_OF_STEP_PX = 0.5
 
-#: Modes are not unlikely up to so many times the highest frequency of those that are seen.
-NOT_FAR = 1.5
+#: Frequencies that are named at most.
+NAMED = 6
 
 #: px; hidden modes beyond this blur by phases of a radian, of which steps about an estimate may go astray.
 LARGE_HIDDEN_PX = 0.2
@@ -159,6 +161,60 @@ def _px_a_line(camera: PushbroomCamera, surface: Surface) -> float:
     )
     along = pixel - here
     return float((line - here) @ along / (along @ along))
+
+
+def _blind_to(state: StripState, upper: float) -> tuple[list[float], float]:
+    """Frequencies up to `upper` (Hz) that all pairs of bands are blind to, and the resolution (Hz)."""
+    stars = [record.star for record in state.records if record.star.present.any()]
+    if not stars or upper <= 0.0:
+        return [], 0.0
+    lags, weights = [], []
+    for star in stars:
+        for k in np.flatnonzero(star.present.any(axis=0)):
+            kept = star.present[:, k]
+            lags.append(float(np.median(star.t[kept, k] - star.t_hub[kept])))
+            weights.append(float(kept.sum()))
+    if not all(lags):
+        return [], 0.0
+    first, last = matched_span(stars)
+    return blind_together(lags, weights, upper).tolist(), 1.0 / (last - first)
+
+
+def blind_warnings(state: StripState) -> list[str]:
+    """That all pairs of bands are blind where modes are not unlikely beside those that are seen."""
+    seen = sorted({round(tone.frequency) for one in state.model.spectra for tone in one.tones})
+    blind, apart = _blind_to(state, NOT_FAR * seen[-1] if seen else 0.0)
+    if not blind:
+        return []
+    named = ", ".join(f"{f:.3g}" for f in blind[:NAMED]) + ", ..." * (len(blind) > NAMED)
+    said = (
+        f"all pairs of bands are blind at {named} Hz: nothing is known of a tone there, and hardly anything "
+        f"of one within {apart:.2g} Hz, not unlikely beside those of {', '.join(map(str, seen))} Hz"
+    )
+    found = sorted({tone.frequency for tones in state.model.blind for tone in tones})
+    if not found:
+        return [f"{said}; sigma holds none but those that were found; a band at another lag would show them"]
+    places = ", ".join(f"{f:.3g}" for f in found)
+    return [
+        f"{said}. Something moves at {places} Hz, about which axis no match tells: sigma holds such a tone "
+        "of each; a band at another lag would tell"
+    ]
+
+
+def _unsettled(strip: Strip, state: StripState, change: float, at: float) -> str:
+    """That the last pass changed the motion by many sigma, most of it about `at` (Hz, or 0), and why."""
+    said = f"the passes did not settle: the last changed the motion by {change:.1f} sigma"
+    blind, apart = _blind_to(state, 2.0 * at)
+    near = [f for f in blind if abs(f - at) <= apart]
+    if near:
+        return (
+            f"{said}, most of it about {at:.3g} Hz: all pairs of bands are blind at {near[0]:.3g} Hz, and "
+            "what moves there no match tells; a band at another lag would"
+        )
+    stages = [band.camera.stages for band in strip.bands if band.camera.stages is not None]
+    most = max((int(np.asarray(one).max()) for one in stages), default=1)
+    described = f"camera description, {most} TDI stages among it" if most > 1 else "camera description"
+    return f"{said}; check the {described}, or allow more with [matching] passes"
 
 
 def _averaged_away(strip: Strip, state: StripState) -> list[str]:
@@ -455,21 +511,16 @@ def strip_warnings(
     changes: list[float],
     options: RecoverOptions,
     left: float = 1.0,
+    at: float = 0.0,
 ) -> tuple[str, ...]:
     """What a user should know before trusting the numbers.
 
     `options`: with the windows of the last pass. `left`: share of the last of the `changes` that was left for
-    a pass that is not among them.
+    a pass that is not among them; `at`: Hz about which most of that change lies, 0 where it does about none.
     """
     out = []
     if changes and left * changes[-1] > 1.0:
-        stages = [band.camera.stages for band in strip.bands if band.camera.stages is not None]
-        most = max((int(np.asarray(one).max()) for one in stages), default=1)
-        described = f"camera description, {most} TDI stages among it" if most > 1 else "camera description"
-        out.append(
-            f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; check the "
-            f"{described}, or allow more with [matching] passes"
-        )
+        out.append(_unsettled(strip, state, changes[-1], at))
         if all(band.offset_sigma_px == 0.0 for band in strip.bands):
             out.append("band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not")
     out += _unmatched_bands(strip, state.records, options)
@@ -482,6 +533,7 @@ def strip_warnings(
             "interpolated, its sigma grown"
         )
     out += out_of_step(strip)
+    out += blind_warnings(state)
     out += _averaged_away(strip, state) + _large_hidden(strip, state)
     out += _hidden_by_stages(strip, state, motion)
     out += _far_off(strip, state, motion)
