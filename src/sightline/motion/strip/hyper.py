@@ -691,10 +691,8 @@ def _blind_modes(
         return none
     frequency, variance = np.array(tones).T
     lags = [float(np.median(d.lag)) for d in differences]
-    together = blind_together(lags, [len(d.t) for d in differences], NOT_FAR * float(frequency.max()))
-    strength, _, strong = seen_modes(frequency, variance)
-    # what an axis shows there by itself its spectrum holds
-    blind = [f for f in together.tolist() if np.abs(strong - f).min() > SAME_TONE / length]
+    blind = blind_together(lags, [len(d.t) for d in differences], NOT_FAR * float(frequency.max())).tolist()
+    strength = seen_modes(frequency, variance)[0]
     some = [f for f in blind if _moves_at(f, 3 * len(blind), found, differences, estimate, length)]
     return tuple(
         tuple(Tone(px * math.sqrt(0.5 * strength / f**3), f, BLIND_WIDTH / length) for f in some)
