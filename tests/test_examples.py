@@ -119,7 +119,8 @@ def test_the_python_of_the_readme_runs_and_prints_three_axes(run):
 
 @pytest.mark.slow
 def test_the_tdi_files_and_python_of_the_pages_run_as_stated(tmp_path, run):
-    (toml,), (columns,) = (re.findall(rf"```{kind}\n(.*?)```", TDI, re.DOTALL) for kind in ("toml", "csv"))
+    # the other is a part of an ACQUISITION.toml
+    (toml, _), (columns,) = (re.findall(rf"```{kind}\n(.*?)```", TDI, re.DOTALL) for kind in ("toml", "csv"))
     (tmp_path / "tdi.toml").write_text(toml, encoding="utf-8")
     (tmp_path / "columns.csv").write_text(columns, encoding="utf-8")
     python, text = (re.findall(rf"```{kind}\n(.*?)```", PYTHON, re.DOTALL) for kind in ("python", "text"))

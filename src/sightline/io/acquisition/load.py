@@ -154,7 +154,8 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         check_seen(path, surface, cameras)
     else:
         sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
-        with _absent_first(path, files.absent):
+        # where nothing is looked into, images need not be there
+        with _absent_first(path, files.absent if look else ()):
             check_coverage(
                 path, surface, cameras, names, sweeps=sweeps,
                 otherwise=lambda camera: otherwise_written(config, camera, surface, files.fixed_from_given),
