@@ -709,10 +709,7 @@ def _match(
 def _change(strip: Strip, old: StripState, new: StripState) -> float:
     """Change of the motion between passes in units of its sigma, hidden part left out (worst axis)."""
     t = strip.grid.nodes[4:-4:4]
-    hidden = new.estimate.hidden_directions(new.estimate.hidden_drifts)
-    directions = directions_at(strip.grid, hidden, t)
-    moved = angles_at(new.estimate, t) - angles_at(old.estimate, t)
-    moved = less_directions(moved, directions, strip.scale)
+    moved, directions = _moved(strip, old, new, t)
     variance = new.estimate.relative_covariance(t, directions, strip.scale)[:, [0, 1, 2], [0, 1, 2]]
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
@@ -720,12 +717,19 @@ def _change(strip: Strip, old: StripState, new: StripState) -> float:
 def _changed_about(strip: Strip, old: StripState, new: StripState) -> float:
     """Frequency (Hz) about which most of a change of the motion in px lies; 0 where it does about none."""
     t = strip.grid.nodes
-    directions = new.estimate.hidden_directions(new.estimate.hidden_drifts)
-    moved = less_directions(new.estimate.nodes - angles_at(old.estimate, t), directions, strip.scale)
+    moved, _ = _moved(strip, old, new, t)
     power = (np.abs(np.fft.rfft(moved / strip.scale * hann(len(t))[:, None], axis=0)) ** 2).sum(axis=1)
     top = int(np.argmax(power))
     about = power[max(top - 2, 0) : top + 3].sum()
     return top / (len(t) * strip.grid.step) if about > MOST_OF_CHANGE * power.sum() else 0.0
+
+
+def _moved(strip: Strip, old: StripState, new: StripState, t: Array) -> tuple[Array, Array]:
+    """Change (N, 3) of the motion at `t` less its hidden part, and the hidden directions there."""
+    hidden = new.estimate.hidden_directions(new.estimate.hidden_drifts)
+    directions = directions_at(strip.grid, hidden, t)
+    moved = angles_at(new.estimate, t) - angles_at(old.estimate, t)
+    return less_directions(moved, directions, strip.scale), directions
 
 
 def _relief(strip: Strip, state: StripState) -> RowRelief | None:

@@ -1077,8 +1077,21 @@ def gain_of_chance(count: float, false_alarm: float) -> float:
     expected, count = -math.log1p(-false_alarm), max(count, 1.0)
     gain = 1.0
     for _ in range(50):
-        gain = max(math.log(count * math.sqrt(math.pi * gain / 3.0) / expected), 1.0)
+        gain = max(math.log(_crests(count, gain) / expected), 1.0)
     return gain
+
+
+def chance_of_gain(gain: float, count: float) -> float:
+    """Probability, at most, that noise alone gains so much by a sinusoid of a frequency that is looked at.
+
+    `count` as of `gain_of_chance`: what lies about that frequency and may have been taken for it.
+    """
+    return min(1.0, (1.0 + _crests(count, gain)) * math.exp(-gain))
+
+
+def _crests(count: float, gain: float) -> float:
+    """Mean number of crests above a gain, in units of the probability that one frequency gains as much."""
+    return count * math.sqrt(math.pi * gain / 3.0)
 
 
 def mean_variance_unseen(gain: float, largest: float, usual: float = math.inf) -> float:

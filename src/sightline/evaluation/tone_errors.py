@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.banded import band_times
+from sightline.estimation.search import chance_of_gain
 from sightline.motion.results import LineOfSight
 from sightline.motion.tones import AXES, DetectedTone, evenly_detrended, hann, named
 
@@ -98,10 +99,10 @@ def _chance(amplitude: float, *sigmas: float) -> float:
     """Probability that errors of these sigmas of an amplitude make one so large where there is no tone.
 
     The density of the motion's error is that of an endless strip, less than a strip has within one over its
-    length of a frequency where it is blind: of crests there so many are so high (`search.gain_of_chance`).
+    length of a frequency where it is blind: of crests there so many are so high (`search.chance_of_gain`).
     """
     gain = 0.5 * amplitude**2 / max(sum(sigma**2 for sigma in sigmas), 1e-300)
-    return min(1.0, (1.0 + BLIND_WIDTH * math.sqrt(math.pi * gain / 3.0)) * math.exp(-gain))
+    return chance_of_gain(gain, BLIND_WIDTH)
 
 
 def _weights(result: LineOfSight, tone: DetectedTone, step: float, x: Array) -> Array:

@@ -87,7 +87,8 @@ class PriorModel:
     their frequencies: no estimate finds them, its sigma owns them. `products` are sums and differences of
     those and of seen modes (intermodulation): every estimate holds them, no body moves so, and the sigma owns
     them likewise. `blur_shows`: rows say how blur within stages shows what TDI hides, which is estimated with
-    the rest then (``hidden.py``), and of which no products are left.
+    the rest then (``hidden.py``), and of which no products are left. `blind` are tones that may be of any
+    axis where no pair tells (`_blind_modes`).
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
