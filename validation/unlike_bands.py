@@ -9,6 +9,8 @@ Rendered strips of the nominal motion (tones of 47, 83, 121 Hz), SNR 100:
                     172.2 ms), offsets of 0.8 of its own pixels unknown; "colour first": the first band, whose
                     lines the result has, is a colour
     1.5:1 ... 6:1   the same with other ratios
+    TDI             4:1, each band of 4 stages of its own lines, lines of .1 ms: the colours average over
+                    1.6 ms
     six bands       of three resolutions
     focal length    4:1, each colour's focal length some 2 % off: said (`scale_sigma`), and not said, where a
                     band may be named instead, in a warning or an error
@@ -82,6 +84,7 @@ SIX = {
     "gains": (1.0, 0.85, 0.9, 0.8, 0.9, 0.85), "gammas": (1.0, 0.9, 1.0, 0.8, 1.0, 0.9),
     "pixel_ratios": (1.0, 2.0, 2.0, 2.0, 4.0, 4.0), "snr": 100.0, "offset_sigma_px": 0.8,
 }  # fmt: skip
+FAST = {**coarse(4.0), "stages": (4,), "ifov": 1e-6, "line_period": 1e-4}
 MAGNIFIED = {"scale_sigma": 6e-4, "snr": 100.0}
 CASES = {
     "4:1": Case(coarse(4.0), FIVE, rms=PAN, kept=0.9),
@@ -90,6 +93,7 @@ CASES = {
     "2:1": Case(coarse(2.0), TEN),
     "3:1": Case(coarse(3.0), TEN),
     "6:1": Case(coarse(6.0)),
+    "4:1, TDI": Case(FAST, FIVE, size={"lines": 3000, "columns": 640}),
     "six bands": Case(SIX, TEN),
     "focal length, said": Case({**coarse(4.0), "scale_sigma": 0.02}, TEN),
     "focal length, not said": Case({**coarse(4.0), "scale_sigma": 0.02}, said=False),
