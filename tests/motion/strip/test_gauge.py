@@ -21,6 +21,9 @@ def of_yaw(sigma: float, **given: float) -> tuple[float, float]:
     strip = SimpleNamespace(grid=GRID, known=KnownContent(**given))
     constant, even = gauge(strip, PriorModel((drift, drift, drift)).processes(GRID))  # type: ignore[arg-type]
     assert constant[:2] == even[:2] == (1e-5, 1e-5)
+    said = gauge(strip, PriorModel((drift, drift, drift)).processes(GRID), held=False)  # type: ignore[arg-type]
+    usual = KnownContent(**given).usual()
+    assert said == ((usual[0], usual[0], constant[2]), (usual[1] * 1.0, usual[1] * 1.0, even[2]))
     return constant[2], even[2] / 1.0
 
 

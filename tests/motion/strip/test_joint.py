@@ -31,6 +31,7 @@ from sightline.motion.strip.normal_equations import (
     TimeGrid,
     modelled,
     modelled_by_blur,
+    no_information,
     normal_equations,
     ordered_ground,
 )
@@ -190,13 +191,31 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool, curves: tup
     sums = np.zeros((size + 2, 5))
     for axis in range(3):
         sums[axis:size:block, axis] = 1.0 / COUNT
-    for k, axis in enumerate((2, 0)):
-        sums[axis:size:block, 3 + k] = u / (u @ u)
-    # the drift of yaw is also given by itself, as the reference attitude is known
-    one = held[5:] @ covariance
-    known = covariance - one.T @ one / (one @ held[5] + DRIFT_SIGMA[2] ** 2)
-    found, want = estimate.hidden_covariance((2, 0)), sums.T @ known @ sums
+    for column, axis in enumerate((2, 0), start=3):
+        sums[axis:size:block, column] = u / (u @ u)
+    # nothing is held: even drifts of the prior's sigmas are free, as constants are, and add to the processes
+    loose = dense_prior(prior, dense, block)
+    loose[:size, :size] += (k - dense_prior(prior, dense, block))[:size, :size]
+    for axis in range(3):
+        loose[axis:size:block, axis:size:block] += DRIFT_SIGMA[axis] ** 2 * np.outer(u, u)
+    left = loose - loose @ rows.T @ np.linalg.solve(rows @ loose @ rows.T + noise, rows @ loose)
+    found, want = estimate.hidden_covariance((2, 0)), sums.T @ left @ sums
     np.testing.assert_allclose(found, want, atol=2e-3 * want.max())
+
+
+def test_what_is_hidden_is_known_as_far_as_is_said_and_not_as_it_is_held() -> None:
+    """Of a prior that holds roll and pitch, beside one that says how far they may be off."""
+    prior, _ = make_prior(False)
+    grid, said = TimeGrid(0.0, STEP, COUNT), (0.3, 0.2, 0.4)
+    drifts = (0.05, 0.06, 0.07)
+    nothing = no_information(grid, 0)
+    held = replace(prior, statics_sigma=np.zeros(0), ample=None)
+    loose = replace(held, constant_sigma=said, drift_sigma=drifts)
+    beside = np.sqrt(np.diag(solve_joint(nothing, held).hidden_covariance((0, 1, 2))))
+    found = np.sqrt(np.diag(solve_joint(nothing, replace(held, ample=loose)).hidden_covariance((0, 1, 2))))
+    np.testing.assert_allclose(
+        found**2 - beside**2, np.square(said + drifts) - np.square(CONSTANT_SIGMA + DRIFT_SIGMA), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("at_once", [13, 1000])

@@ -196,6 +196,8 @@ def solve_strip(
     prior = JointPrior(angles, sigmas, constant_sigma=constant, drift_sigma=drift, curve_sigma=curves)
     alike = model.alike(strip.scale, grid.step * grid.count)
     ample_angles = alike.processes(grid)
+    stated, even = gauge(strip, ample_angles, held=False)
+    ample_prior = JointPrior(ample_angles, sigmas, constant_sigma=stated, drift_sigma=even)
     lengths = before.relief_lengths if before is not None else 2 * (2.0 * strip.half_width,)
     share = before.relief_share if before is not None else 1.0
     beside = 0.0
@@ -225,7 +227,7 @@ def solve_strip(
         width = (data.ab.subdiagonals + 1) // data.block
         apart, alike_apart = (m.estimated().apart(grid, width) if long else None for m in (model, alike))
         wander = None if slow is None else slow.precision
-        ample = JointPrior(ample_angles, sigmas, prior.relief, apart=alike_apart, slow_precision=wander)
+        ample = replace(ample_prior, relief=prior.relief, apart=alike_apart, slow_precision=wander)
         ties = tie(rows, grid, data.block) if rows else None
         found = solve_joint(data, replace(prior, apart=apart, ample=ample, slow_precision=wander), ties)
         clear = measured
@@ -440,13 +442,14 @@ def _moved(stars: Sequence[Star], before: Sequence[Array], after: Sequence[Array
 
 
 def gauge(
-    strip: Strip, angles: tuple[Autoregressive, Autoregressive, Autoregressive]
+    strip: Strip, angles: tuple[Autoregressive, Autoregressive, Autoregressive], *, held: bool = True
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """How far constants and even drifts may lie from the reference attitude, as it is known.
 
-    Where nothing is given, yaw may have as large a mean and drift as the process of its motion, one of
-    `angles`, has of itself: that of a narrow field is seen in pixels of its edge, and so goes ten times as
-    far and as fast as that of a wide one.
+    Those of roll and pitch are `held` where the attitude puts them, or not (`JointPrior.ample`). Where
+    nothing is given, yaw may have as large a mean and drift as the process of its motion, one of `angles`,
+    has of itself: that of a narrow field is seen in pixels of its edge, and so goes ten times as far and as
+    fast as that of a wide one.
     """
     count = strip.grid.count
     half = 0.5 * strip.grid.step * (count - 1)
@@ -457,11 +460,10 @@ def gauge(
             (usual[0], half * usual[1]), given, np.ascontiguousarray(mean_and_drift(count).T), strict=True
         )
     ]
+    within = (CONSTANT_SIGMA, DRIFT_SIGMA) if held else 2 * ((math.inf,) * 3,)
     constant, drift = (
-        (min(held[0], sigma), min(held[1], sigma), turn)
-        for held, sigma, turn in zip(
-            (CONSTANT_SIGMA, DRIFT_SIGMA), (usual[0], half * usual[1]), yaw, strict=True
-        )
+        (min(most[0], sigma), min(most[1], sigma), turn)
+        for most, sigma, turn in zip(within, (usual[0], half * usual[1]), yaw, strict=True)
     )
     return constant, drift
 

@@ -86,10 +86,13 @@ class JointPrior:
         Of errors of matching that wander along the strip, unknowns beside the static parameters
         (``slow_errors.py``).
     ample : JointPrior or None
-        Of motions that hold no axis still, which completes hidden drifts; None: this one.
+        Of motions that hold no axis still, whose constants and drifts are as far off as is said of the
+        reference attitude: it completes hidden drifts, and says how well they are known. None: this one.
     curve_sigma : (3,)
         rad; of a parabola along the strip (Legendre's, 1 at the ends) of each axis beside `angles`, whose
         memory is too short to know its size; 0 adds none, nor does a prior whose drifts are apart.
+    even : bool
+        Whether even drifts are free beside `angles` too, and not held alone.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -103,6 +106,7 @@ class JointPrior:
     drift_sigma: tuple[float, float, float] = DRIFT_SIGMA
     ample: JointPrior | None = None
     curve_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    even: bool = False
 
     @property
     def _curved(self) -> list[int]:
@@ -111,17 +115,25 @@ class JointPrior:
 
     @property
     def free_sigma(self) -> Array:
-        """Sigmas (F,) rad of what `angles` leave free: parabolas where there are any, a constant per axis."""
-        return np.array([*(self.curve_sigma[k] for k in self._curved), *self.constant_sigma])
+        """Sigmas (F,) rad of what `angles` leave free: parabolas, even drifts if any, a constant per axis."""
+        even = self.drift_sigma if self.even else ()
+        return np.array([*(self.curve_sigma[k] for k in self._curved), *even, *self.constant_sigma])
 
     def free_shapes(self, count: int, block: int) -> Array:
         """(block * count, F) motions of the grid of which `free_sigma` are the sigmas."""
-        parabola = 1.5 * np.linspace(-1.0, 1.0, count) ** 2 - 0.5
-        shapes = [*((k, parabola) for k in self._curved), *((k, np.ones(count)) for k in range(3))]
+        u = np.linspace(-1.0, 1.0, count)
+        parabolas = [(k, 1.5 * u**2 - 0.5) for k in self._curved]
+        drifts = [(k, u) for k in range(3)] if self.even else []
+        shapes = [*parabolas, *drifts, *((k, np.ones(count)) for k in range(3))]
         out = scratch_array((block * count, len(shapes)))
         for column, (axis, values) in enumerate(shapes):
             out[axis::block, column] = values
         return out
+
+    def loosened(self, tied: NDArray[np.bool_]) -> JointPrior:
+        """The prior with free constants of the axes (3,) that sensors or control points tie to the world."""
+        roll, pitch, yaw = np.where(tied, TIED_SIGMA, self.constant_sigma)
+        return replace(self, constant_sigma=(roll, pitch, yaw))
 
     @property
     def border_precision(self) -> Array:
@@ -462,25 +474,21 @@ class JointEstimate:
         Notes
         -----
         A direction is the only one that holds the mean, or the drift from the middle to the ends, of its own
-        axis: the covariance is that of these means and drifts. Priors alone bound them, of constants, of
-        static parameters and of the motion, and what attitude sensors and control points say.
+        axis: the covariance is that of these means and drifts. Priors alone bound them, and what attitude
+        sensors and control points say. Those of the `ample` prior: where roll and pitch are held says how
+        the estimate chose among what images cannot tell apart, not how well that is known.
         """
         grid, block = self.grid, self._data.block
-        shapes = np.stack([np.ones(grid.count), np.linspace(-1.0, 1.0, grid.count)], axis=1)
-        fit = np.linalg.pinv(shapes)
         own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
-        weights = np.zeros((grid.count, block, len(own)))
+        shapes, weights = mean_and_drift(grid.count), np.zeros((grid.count, block, len(own)))
         for k, (shape, axis) in enumerate(own):
-            weights[:, axis, k] = fit[shape]
+            weights[:, axis, k] = shapes[:, shape]
         flat = weights.reshape(-1, len(own))
-        spread, _ = self._factor(constants=True).times(flat)
-        covariance = np.asarray(flat.T @ spread)
-        sigma = self._prior.drift_sigma[2]
-        if (1, 2) in own and self._prior.constant_sigma[2] < TIED_SIGMA and sigma > 0.0:
-            # as the solution was held: how fast the body turns about its vertical is known by itself
-            column = covariance[:, own.index((1, 2))]
-            covariance = covariance - np.outer(column, column) / (column[own.index((1, 2))] + sigma**2)
-        return covariance
+        prior = replace(self._prior.ample or self._prior, even=True)
+        if self.ties is not None:
+            prior = replace(prior, own_precision=self._prior.own_precision).loosened(self.ties.tied)
+        spread, _ = joint_factor(self._data, prior, constants=True).times(flat)
+        return np.asarray(flat.T @ spread)
 
     def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
         """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
@@ -570,7 +578,7 @@ def _unmixed(directions: Array, own: Sequence[tuple[int, int]], shapes: Array) -
 class _Banded:
     """Band of data + prior, factored: the same with and without a free constant per axis.
 
-    `free` (size, F) are these constants, after the free parabolas, `pulled` the prior's precision times them;
+    `free` (size, F) are these constants, after other free shapes, `pulled` the prior's precision times them;
     `place` is where the unknowns of the grid stand; None where there are no others between them. `beside`
     (size, Q) are the statics.
     """
@@ -650,7 +658,7 @@ def _laid_factor(data: NormalEquations, prior: JointPrior, layout: Layout, free:
 
 
 def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
-    """Factor of data + prior; the border holds statics, free parabolas and, if asked, a constant per axis."""
+    """Factor of data + prior; the border holds statics, free shapes and, if asked, a constant per axis."""
     precision, sigma = prior.border_precision, prior.free_sigma
     statics, free = len(precision), len(sigma) - (0 if constants else 3)
     corner = np.zeros((statics + free,) * 2)
@@ -667,9 +675,9 @@ def _beside(data: NormalEquations, factor: Factor) -> Array:
     return np.concatenate([data.rhs_static, np.zeros(factor.q - len(data.rhs_static))])
 
 
-def joint_factor(data: NormalEquations, prior: JointPrior) -> Factor:
-    """Factor of data + prior, constants of the motion held; statics and free parabolas are its border."""
-    return _factor(_banded_factor(data, prior), data, prior, constants=False)
+def joint_factor(data: NormalEquations, prior: JointPrior, *, constants: bool = False) -> Factor:
+    """Factor of data + prior, constants of the motion held or not; statics and parabolas are its border."""
+    return _factor(_banded_factor(data, prior), data, prior, constants=constants)
 
 
 def mean_and_drift(count: int) -> Array:
@@ -698,10 +706,7 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     data = images
     if ties is not None:
         data = add_ties(images, ties)
-        loose = np.where(ties.tied, TIED_SIGMA, prior.constant_sigma)
-        prior = replace(
-            prior, own_precision=ties.own_precision, constant_sigma=(loose[0], loose[1], loose[2])
-        )
+        prior = replace(prior, own_precision=ties.own_precision).loosened(ties.tied)
     factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
     statics = len(prior.statics_sigma)
     beside = statics + (0 if prior.slow_precision is None else len(prior.slow_precision))
