@@ -40,7 +40,7 @@ from sightline.motion.strip.joint import JointPrior, less_directions, solve_join
 from sightline.motion.strip.normal_equations import GroundOrder, normal_equations
 from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.motion.strip.viewing_axes import turned_directions
-from sightline.motion.strip.warnings import _lost_windows
+from sightline.motion.strip.warnings import _lost_windows, like_none
 from sightline.simulate.scenarios import line_of_sight_case
 
 SHAPE = (300, 220)
@@ -126,6 +126,20 @@ class TestRefused:
         plan = strip.plan(RecoverOptions(), (10, 48), 20, (16, 16))
         _, found, searched = _searched(strip, nodes, statics, plan, lambda *_: None)
         assert _share_kept(found) > 0.9 and searched == (16, 16)
+
+    def test_one_band_beyond_the_first_search_is_searched_farther(self):
+        # two of three bands match in most windows, the third lies 9 columns off, where 4 are searched
+        scene = line_of_sight_case("nominal", 5, lines=500, columns=160)
+        given = scene.as_given()[:3]
+        off = ArrayImage(np.roll(scene.image(2), 9, axis=1))
+        strip = prepared([*given[:2], replace(given[2], image=off)], Plane(0.0), RecoverOptions())
+        statics = np.zeros(len(strip.parameters))
+        nodes = initial_attitude(strip, statics)
+        plan = strip.plan(RecoverOptions(), (10, 48), 20, (4, 4))
+        near = _match(strip, nodes, statics, plan)
+        assert like_none(near, 3).tolist() == [False, False, True]
+        _, found, searched = _searched(strip, nodes, statics, plan, lambda *_: None)
+        assert searched == (12, 12) and not like_none(found, 3).any()
 
     @pytest.mark.parametrize("again", [0, 3])
     def test_a_stretch_that_moved_beyond_the_first_search_is_found_from_its_ends(self, again, monkeypatch):

@@ -96,9 +96,11 @@ from sightline.motion.strip.warnings import (
     ENOUGH_KEPT,
     control_warnings,
     controlled_lines,
+    like_none,
     observed_lines,
     spoilt_hub,
     strip_warnings,
+    without_lost,
 )
 from sightline.motion.strip.withheld import contradictions, judged, withheld_numbers, without_pairs
 from sightline.motion.tones import hann
@@ -498,15 +500,19 @@ def _searched(
 ) -> tuple[Strip, tuple[StarRecord, ...], tuple[int, int]]:
     """The first matches, and how far (lines, columns) px they were searched: farther where few are kept.
 
-    A turn about the line of sight moves bands that look ahead of a narrow line far across it.
+    A turn about the line of sight moves bands that look ahead of a narrow line far across it: of several
+    bands it may be one that is out of reach.
     """
     strip, records = _compared(strip, nodes, statics, plan, tell)
     lines, columns = (max(min(FARTHER * px, FARTHEST), px) for px in plan.search_px)
-    if _share_kept(records) >= ENOUGH_KEPT or (lines, columns) == plan.search_px:
+    lost = like_none(records, len(strip.bands))
+    if (_share_kept(records) >= ENOUGH_KEPT and not lost.any()) or (lines, columns) == plan.search_px:
         return strip, records, plan.search_px
     step = steps_of(tell, f"first pass: searching within {lines} lines and {columns} columns")
     farther = _match(strip, nodes, statics, replace(plan, search_px=(lines, columns)), step=step)
-    better = _share_kept(farther) > MORE_KEPT * _share_kept(records)
+    more = _share_kept(farther) / max(_share_kept(records), 1e-9)
+    found = lost & ~like_none(farther, len(strip.bands))
+    better = more > MORE_KEPT or (found.any() and more > 1.0)
     return strip, farther if better else records, (lines, columns)
 
 
@@ -605,6 +611,7 @@ def _compensated_pass(
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
     records = _match(strip, nodes, statics, plan, state.records, step, learned=number > 0)
+    records = without_lost(records, len(strip.bands))
     _some_left(strip, state, records, options)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
     _some_left(strip, solved, solved.records, options)

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motion.strips import strip_cameras
+from motion.strips import plain_star, strip_cameras
 from sightline.estimation.prior import Matern, Spectrum, TabulatedPsd, Tone
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
-from sightline.matching.matches import LOW_SCORE, OUTSIDE
+from sightline.matching.matches import KEPT, LOW_SCORE, OUTSIDE
 from sightline.motion.band import Band
+from sightline.motion.measure.stars import StarRecord
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.strip import RecoverOptions, prepared
@@ -28,6 +29,7 @@ from sightline.motion.strip.warnings import (
     blind_warnings,
     compared_through,
     out_of_step,
+    without_lost,
 )
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -65,6 +67,28 @@ def test_what_was_found_far_from_what_was_given_is_named():
     # where nothing is given, yaw may turn as fast as its motion does
     wide = SimpleNamespace(constant_sigma=(1e-5, 1e-5, 1e-3), drift_sigma=(1e-5, 1e-5, 0.02))
     assert _far_off(strip, state(2.5, -7.5e-4, 2.5e-3, prior=wide), drifting) == []
+
+
+@pytest.mark.parametrize(("of_c", "left"), [(7, 0), (60, 60)])
+def test_what_chance_keeps_of_a_band_that_matches_nothing_takes_no_part(of_c, left):
+    # 200 windows of A sought in B and C, 100 of B in C: of C fewer than a tenth are kept, or more
+    def record(hub, images, *kept):
+        count = 200 if hub == 0 else 100
+        residual = np.full((count, len(images), 2), np.nan)
+        for k, number in enumerate(kept):
+            residual[:number, k] = 0.1
+        status = np.where(np.isfinite(residual[..., 0]), KEPT, LOW_SCORE).astype(np.uint8)
+        plain = plain_star(count // 10, 10, len(images))
+        star = replace(plain, hub=hub, images=images, residual_px=residual)
+        return StarRecord(star, status, np.ones(status.shape))
+
+    first, second = without_lost([record(0, (1, 2), 150, of_c), record(1, (2,), 5)], 3)
+    assert first.star.present.sum(axis=0).tolist() == [150, left]
+    assert second.star.present.sum() == (5 if left else 0)
+    assert (first.status == KEPT).sum(axis=0).tolist() == [150, left]
+    # where no band matches, none is the odd one
+    alone = [record(0, (1, 2), 5, 5)]
+    assert without_lost(alone, 3) == tuple(alone)
 
 
 @pytest.mark.parametrize(

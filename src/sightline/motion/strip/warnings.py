@@ -291,7 +291,7 @@ def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
 def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: RecoverOptions) -> list[str]:
     """Bands none of whose pairs keeps enough windows, and the one mistake that is why where there is one."""
     compared, kept = _pairs_compared(records, len(strip.bands))
-    alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
+    alone = _matches_nothing(compared, kept)
     # those of coarse pixels first, whose windows are compared with those of fine ones
     groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone)
@@ -311,6 +311,29 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: Recov
     ]
 
 
+def without_lost(records: Sequence[StarRecord], bands: int) -> tuple[StarRecord, ...]:
+    """The records without what little was kept of bands that match nothing, beside others that do.
+
+    Chance made it, or it lies where the search ended: a place for such a band, and a motion, no sigma owns.
+    """
+    lost = _matches_nothing(*_pairs_compared(records, bands))
+    if not lost.any() or lost.all():
+        return tuple(records)
+    out = []
+    for record in records:
+        star = record.star
+        gone = lost[list(star.images)] | lost[star.hub]
+        status = np.where(gone & (record.status == KEPT), OUTLIER, record.status)
+        residual = np.where(gone[:, None], np.nan, star.residual_px)
+        out.append(replace(record, star=replace(star, residual_px=residual), status=status))
+    return tuple(out)
+
+
+def _matches_nothing(compared: NDArray[np.intp], kept: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(bands,) those none of whose pairs (bands, bands) keeps enough windows."""
+    return np.asarray(~pair_tells(kept, compared).any(axis=1))
+
+
 def _tried(record: StarRecord) -> NDArray[np.bool_]:
     """(G, K) windows that were compared: none under a mask, nor where the other image has no pixels."""
     return ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
@@ -327,10 +350,15 @@ def _pairs_compared(records: Sequence[StarRecord], bands: int) -> tuple[NDArray[
     return compared + compared.T, kept + kept.T
 
 
+def like_none(records: Sequence[StarRecord], bands: int) -> NDArray[np.bool_]:
+    """(bands,) those that look like no other that they were compared with."""
+    compared, kept = _pairs_compared(records, bands)
+    return np.asarray(compared.any(axis=1) & (kept < HARDLY * compared + (compared == 0)).all(axis=1))
+
+
 def spoilt_hub(records: Sequence[StarRecord], bands: int) -> int | None:
     """The band that others were compared through, though it matches hardly any; None if there is none."""
-    compared, kept = _pairs_compared(records, bands)
-    through = compared_through(records, bands) * (kept < HARDLY * compared + (compared == 0)).all(axis=1)
+    through = compared_through(records, bands) * like_none(records, bands)
     return int(np.argmax(through)) if through.max() > MUCH else None
 
 
