@@ -162,3 +162,30 @@ def test_the_truth_reaches_to_the_exposures_of_all_bands(tmp_path, capsys):
     assert t[0] == 0.0 and np.diff(t) == pytest.approx(period)
     last = 0.1591 + 63 * 4 * period
     assert last <= t[-1] < last + period
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_stages_of_tdi_blur_what_moves_within_them(tmp_path, capsys):
+    """An image of stages is the mean of the images that its stages take, not what their mean looks at."""
+    count, ifov, period = 12, 5e-6, 1.0 / 2400.0
+    late = (np.arange(count) - (count - 1) / 2.0).tolist()
+    # a pixel further back, a line period later
+    keys = {
+        f"S{k}": f"look_ahead = {-ifov * px}\nfirst_line_time = {period * px}\n" for k, px in enumerate(late)
+    }
+    path = tmp_path / "level.toml"
+    path.write_text(
+        '[platform]\nkind = "level-flight"\naltitude = 600e3\nground_speed = 7200.0\n'
+        f"[instrument]\nifov = {ifov}\nline_period = {period}\ncolumns = 32\n"
+        + "".join(
+            f'[[band]]\nname = "{name}"\nimage = "{name}.tif"\n{EXACT}{more}'
+            for name, more in {"A": f"stages = {count}\n", **keys}.items()
+        )
+    )
+    out = tmp_path / "out"
+    words = "--set contrast=.4 --set coherence=1 --set snr=1e5 --lines 160 --columns 32 --seed 3".split()
+    assert simulated(path, out, *words) == 0
+    capsys.readouterr()
+    mean = np.mean([pixels(out / f"{name}.tif") for name in keys], axis=0)
+    # numbers are rounded; what the mean of the stages looks at departs by 15
+    assert (pixels(out / "A.tif") - mean).std() < 1.2 * np.sqrt((1.0 + 1.0 / count) / 12.0)

@@ -153,8 +153,10 @@ class AcquiredScenario:
         cameras = self.nominal_cameras
         step = min(camera.detector.line_period for camera in cameras)
         ends = np.array([camera.times(np.array([0.0, camera.lines - 1.0])) for camera in cameras])
-        # those of the last camera's own edge too: half of its line, and the lines from which poses bend
+        # those of the last camera's own edge too: half of its line, and the lines from which poses bend; and
+        # the stages of its lines
         more = MOTION_MARGIN_LINES * max(camera.detector.line_period for camera in cameras)
+        more += max(max(camera.reach) for camera in cameras)
         count = int(np.ceil((ends[:, 1].max() - ends[:, 0].min() + 2.0 * more) / step))
         t = ends[:, 0].min() - more + step * np.arange(count + 1)
         name = self.options.motion
@@ -227,7 +229,7 @@ class AcquiredScenario:
     def chunks(self, band: int) -> Iterator[tuple[int, NDArray[np.uint16]]]:
         """Image of one band as (first line, block of lines), top to bottom; again alike at every call.
 
-        Its pixels are means over as many points as fit of the pixels of the finest band.
+        Its pixels are means over as many points as fit of the pixels of the finest band, of every TDI stage.
         """
         noise = self._streams["noise"].spawn(len(self.given))[band]
         columns, lines = (int(n) for n in np.rint(self._pixels[band] / self._pixels.min(axis=0)))

@@ -11,7 +11,7 @@ Not here: flat worlds (``sensor.py``), the ground's spectrum (``scene.py``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from sightline.errors import GeometryError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84
 from sightline.simulate.scene import Extent, Scene
-from sightline.simulate.sensor import CHUNK_LINES, Radiometry
+from sightline.simulate.sensor import CHUNK_LINES, Radiometry, single_stages
 from sightline.simulate.texture import Array, Array32
 
 SPACE = 0.01
@@ -110,31 +110,41 @@ def earth_brightness(
     band: int,
     lines: tuple[int, int],
     parts: tuple[int, int] = (1, 1),
+    stages: Mapping[int, Sequence[PushbroomCamera]] | None = None,
 ) -> Array32:
     """Noiseless brightness of lines ``lines[0]`` to ``lines[1] - 1``, in units of the mean ground.
 
-    Each is the mean over `parts` points of a pixel along its lines and columns.
+    Each is the mean over `parts` points of a pixel along its lines and columns, and with TDI over what the
+    cameras of its `stages` see, by how many it has.
     """
     down, along = ((np.arange(n) + 0.5) / n - 0.5 for n in parts)
-    total = np.zeros((lines[1] - lines[0], camera.columns), dtype=np.float32)
-    for shift in np.stack(np.meshgrid(down, along, indexing="ij"), axis=-1).reshape(-1, 2):
-        total += _brightness_at(camera, scene, plane, band, lines, shift)
-    return total / np.float32(parts[0] * parts[1])
-
-
-def _brightness_at(
-    camera: PushbroomCamera, scene: Scene, plane: ViewPlane, band: int, lines: tuple[int, int], shift: Array
-) -> Array32:
-    """Brightness of points `shift` (2,) px from the middles of the pixels."""
+    shifts = np.stack(np.meshgrid(down, along, indexing="ij"), axis=-1).reshape(-1, 2)
     pixels = np.stack(
         np.meshgrid(np.arange(*lines), np.arange(camera.columns), indexing="ij"), axis=-1
     ).reshape(-1, 2)
-    rays = camera.rays(pixels + shift)
+    total = np.zeros(len(pixels), dtype=np.float32)
+    counts = camera.stages_of(pixels.astype(np.float64))
+    for count in np.unique(counts).astype(int).tolist():
+        here = np.flatnonzero(counts == count)
+        for one in (camera,) if stages is None else stages[count]:
+            for shift in shifts:
+                total[here] += _brightness_at(one, scene, plane, band, pixels[here] + shift)
+        if stages is not None:
+            total[here] /= np.float32(count)
+    light = total / np.float32(len(shifts))
+    return light.reshape(lines[1] - lines[0], camera.columns)
+
+
+def _brightness_at(
+    camera: PushbroomCamera, scene: Scene, plane: ViewPlane, band: int, pixels: Array
+) -> Array32:
+    """Brightness (N,) of what pixels (N, 2) see, fractions allowed."""
+    rays = camera.rays(pixels)
     x, y = plane.coordinates(plane.meet(rays.origins, rays.directions))
     seen = np.isfinite(x)
     light = np.full(len(x), SPACE, dtype=np.float32)
     light[seen] = scene.ground_brightness(band, x[seen], y[seen])
-    return light.reshape(lines[1] - lines[0], camera.columns)
+    return light
 
 
 def earth_chunks(
@@ -150,8 +160,11 @@ def earth_chunks(
     starts = range(0, camera.lines, CHUNK_LINES)
     streams = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(len(starts))
     band_mean = radiometry.mean_dn * scene.bands[band].gain
+    stages = None
+    if camera.stages is not None:
+        stages = {count: single_stages(camera, count) for count in np.unique(camera.stages).tolist()}
     for first, stream in zip(starts, streams, strict=True):
         last = min(first + CHUNK_LINES, camera.lines)
-        light = earth_brightness(camera, scene, plane, band, (first, last), parts)
+        light = earth_brightness(camera, scene, plane, band, (first, last), parts, stages)
         dn = light * np.float32(radiometry.mean_dn)
         yield first, radiometry.digitise(dn, band_mean, np.random.default_rng(stream))

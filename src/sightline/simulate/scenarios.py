@@ -56,7 +56,7 @@ from sightline.simulate.scene import (
     scattered_clouds,
     scene_layers,
 )
-from sightline.simulate.sensor import NODE_STEP, Radiometry, render_chunks
+from sightline.simulate.sensor import NODE_STEP, Radiometry, render_chunks, single_stages
 from sightline.simulate.strip_options import CASE_OPTIONS, MOTIONS, StripOptions
 from sightline.simulate.texture import Array, raster_layer
 
@@ -187,21 +187,12 @@ class StripScenario(RenderedStrip):
         counts, camera = self.options.column_stages(band), self.cameras[band]
         if counts is None:
             return []
-        period, out = camera.detector.line_period, []
+        camera, out = dataclasses.replace(camera, time_reference=self.options.time_reference), []
         for columns in np.split(np.arange(len(counts)), np.flatnonzero(np.diff(counts)) + 1):
-            count = int(counts[columns[0]])
             side = []
-            for stage in range(count):
-                # line periods, and pixels, from the stage that the line is timed by
-                late = {
-                    "centre": stage - 0.5 * (count - 1),
-                    "first-stage": float(stage),
-                    "last-stage": stage - (count - 1.0),
-                }[self.options.time_reference]
-                looks = camera.detector.adjusted(-late)
-                looks = dataclasses.replace(looks, directions=looks.directions[columns])
-                first = camera.first_line_time + late * period
-                side.append(PushbroomCamera(looks, camera.trajectory, FixedMount(), first, camera.lines))
+            for one in single_stages(camera, int(counts[columns[0]])):
+                looks = dataclasses.replace(one.detector, directions=one.detector.directions[columns])
+                side.append(dataclasses.replace(one, detector=looks))
             out.append(side)
         return out
 

@@ -12,7 +12,7 @@ flat world (local x east, y north, z up) are rendered here.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -247,6 +247,32 @@ def render_block(
         return light
     blocks = light.reshape(lines[1] - lines[0], parts[0], columns, parts[1])
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
+
+
+def single_stages(camera: PushbroomCamera, count: int) -> list[PushbroomCamera]:
+    """The cameras of the TDI stages, one after the other, of pixels of `camera` that have `count` of them.
+
+    Each is a line period later than the one before, and a pixel further back.
+    """
+    period, out = camera.detector.line_period, []
+    for stage in range(count):
+        # line periods, and pixels, from the stage that the line is timed by
+        late = {
+            "centre": stage - 0.5 * (count - 1),
+            "first-stage": float(stage),
+            "last-stage": stage - (count - 1.0),
+        }[camera.time_reference]
+        out.append(
+            replace(
+                camera,
+                detector=camera.detector.adjusted(-late),
+                first_line_time=camera.first_line_time + late * period,
+                line_times=None if camera.line_times is None else camera.line_times + late * period,
+                stages=None,
+                time_reference="centre",
+            )
+        )
+    return out
 
 
 def render_chunks(
