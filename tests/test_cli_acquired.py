@@ -146,6 +146,16 @@ def test_a_level_flight_is_cut_to_a_shorter_detector(tmp_path, capsys):
     written = load_acquisition(out / "acquisition.toml")
     assert [image.shape for image in written.images] == [(128, 48), (128, 48), (32, 12)]
     assert written.bands[0].camera.detector.tangents[0, 0] == pytest.approx(-23.5 * 5e-6)
+    # some px at the edge of 48 columns are hundredths of a radian of yaw: more than is taken for granted
+    t, _, _, yaw = np.loadtxt(out / "truth.csv", delimiter=",", skiprows=1).T
+    even, mean = (abs(float(v)) for v in np.polyfit(t - t.mean(), yaw, 1))
+    known = written.known_motion
+    assert even > 1e-3 and even <= known.rate_sigma <= 2.0 * even
+    assert max(mean, 1e-2) <= (known.attitude_sigma or 1e-2) <= max(2.0 * mean, 1e-2)
+    # what the file says itself stays
+    toml.write_text(toml.read_text().replace("[instrument]", "rate_sigma = 4e-3\n[instrument]"))
+    assert simulated(toml, tmp_path / "said", "--lines", "128", "--columns", "48") == 0
+    assert load_acquisition(tmp_path / "said" / "acquisition.toml").known_motion.rate_sigma == 4e-3
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -178,7 +178,7 @@ def earlier_export(folder: Path) -> Iterable[str]:
         If the folder holds a result: its files would not belong to each other any more.
     """
     if next(iter(earlier(folder)), None) is not None:
-        raise InputError(f"{folder}: holds a result, of which files would be replaced; give another folder")
+        raise InputError(f"{folder}: holds a result, of which files would be replaced; give another --out")
     try:
         summary = read_json(folder / EXPORT, "what was exported")
         names = [EXPORT, *summary["files"]] if {"version", "to"} <= summary.keys() else []

@@ -112,7 +112,7 @@ def acquisition_toml(
         "",
         "[platform]",
         'kind = "level-flight"',
-        *_attitude_known(scenario.truth),
+        *(f"{name} = {sigma!r}" for name, sigma in attitude_known(scenario.truth).items()),
         f"altitude = {options.altitude!r}",
         f"ground_speed = {options.ground_speed!r}",
         "",
@@ -144,18 +144,23 @@ def acquisition_toml(
     return "\n".join(lines) + "\n"
 
 
-def _attitude_known(truth: Array) -> list[str]:
-    """How well the attitude is known, where the scene moves further than is taken for granted.
+def attitude_known(truth: Array) -> dict[str, float]:
+    """How well the attitude is known, by key of [platform], where it moves further than is taken for granted.
 
     Some px at the edge of a narrow field are a yaw, and a rate of yaw, that few platforms have.
+
+    Parameters
+    ----------
+    truth : (N, 4)
+        s, rad; instants, roll, pitch, yaw.
     """
     t, angles = truth[:, 0], truth[:, 1:]
     mean, even = np.abs(np.polynomial.polynomial.polyfit(t - t.mean(), angles, 1)).max(axis=1)
-    said = []
+    said = {}
     for (name, usual), most in zip(ATTITUDE_KNOWN.items(), (mean, even), strict=True):
         if most > usual:
             digit = 10.0 ** np.floor(np.log10(most))
-            said.append(f"{name} = {np.ceil(most / digit) * digit:.0e}")
+            said[name] = float(f"{np.ceil(most / digit) * digit:.0e}")
     return said
 
 

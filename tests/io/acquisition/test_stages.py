@@ -88,6 +88,7 @@ def test_keys_that_do_not_go_together_are_named(tmp_path, keys, message):
     [
         ("column,stages\n0,4\n1,4\n", "2 rows are of columns 0 to 1; the image has the columns 0 to 5"),
         ("column,stages\n" + "".join(f"{k + 1},4\n" for k in range(6)), "of columns 1 to 6"),
+        ("column,stages\n" + "".join(f"{k},4\n" for k in (0, 1, 2, 2, 3, 4, 5)), "column 2 has two rows"),
         ("column,stages\n0,4.5\n", "stages = 4.5 at column 0; whole numbers from 1"),
         ("column,stages\n0,0\n", "stages = 0 at column 0"),
         ("column,steps\n0,4\n", "column 'stages' is missing"),

@@ -69,6 +69,11 @@ def test_an_input_that_was_no_part_of_it_is_refused(folder, acquisition):
         read_recovered(folder, acquisition)
 
 
+def cut(path, rows):
+    """The first rows of a table."""
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[: rows + 1]))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -77,6 +82,7 @@ def test_an_input_that_was_no_part_of_it_is_refused(folder, acquisition):
         (lambda f: edit(f, statics=[{"name": "B1 rotation", "value": float("nan")}]), "`statics` must be"),
         (lambda f: (f / "summary.json").unlink(), "`inputs`"),
         (lambda f: (f / "motion.csv").unlink(), r"motion.csv is missing"),
+        (lambda f: cut(f / "motion.csv", 40), r"motion.csv: has 40 rows where `recover` wrote \d+"),
         (lambda f: (f / "covariance.npz").write_bytes(b"PK nothing"), r"covariance.npz: cannot be read"),
     ],
 )

@@ -195,7 +195,9 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         doubts=(
             *dict.fromkeys(files.doubts),
             *look_doubts(config, cameras, names, surface, files.fixed_from_given),
-            *sensor_doubts(sensors, (float(exposed.min()), float(exposed.max()))),
+            *sensor_doubts(
+                sensors, (float(exposed.min()), float(exposed.max())), config.platform.attitude_sigma or 0.0
+            ),
         ),
     )
 

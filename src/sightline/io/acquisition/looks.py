@@ -290,7 +290,9 @@ def _runs_backwards(camera: PushbroomCamera, surface: Surface, radii: tuple[floa
     return frame is not None and bool((last - first) @ frame.axes[0] < 0.0)
 
 
-def sensor_doubts(sensors: Sequence[AttitudeSensor], span: tuple[float, float]) -> tuple[str, ...]:
+def sensor_doubts(
+    sensors: Sequence[AttitudeSensor], span: tuple[float, float], attitude_sigma: float = 0.0
+) -> tuple[str, ...]:
     """What is hardly meant of attitude sensors: departures from the reference attitude in degrees.
 
     Parameters
@@ -298,6 +300,8 @@ def sensor_doubts(sensors: Sequence[AttitudeSensor], span: tuple[float, float]) 
     sensors : sequence of AttitudeSensor
     span : (float, float)
         s; first and last exposure of the images.
+    attitude_sigma : float
+        rad; how far angles may be from the reference attitude, as far as that is said.
     """
     said = []
     for sensor in sensors:
@@ -306,7 +310,7 @@ def sensor_doubts(sensors: Sequence[AttitudeSensor], span: tuple[float, float]) 
         if sensor.kind == "gyro":
             angles = np.cumsum(angles, axis=0)
         largest = float(np.abs(angles).max(initial=0.0))
-        known = float(np.hypot(sensor.alignment_sigma, sensor.bias_sigma))
+        known = float(np.linalg.norm([sensor.alignment_sigma, sensor.bias_sigma, attitude_sigma]))
         if largest > max(_LARGE_DEPARTURE, 3.0 * known):
             said.append(
                 f"{sensor.kind} {sensor.name}: up to {largest:.3g} rad ({np.degrees(largest):.3g} degrees) "

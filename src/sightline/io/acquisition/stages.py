@@ -164,6 +164,9 @@ def read_stages(path: Path, columns: int, signal: float | None = None, *, placed
             "are allowed"
         )
     order = np.argsort(at, kind="stable")
+    twice = at[order][1:][np.diff(at[order]) == 0.0]
+    if len(twice):
+        raise FormatError(f"{path}: column {twice[0]:g} has two rows; give one row for each column")
     if not np.array_equal(at[order], np.arange(columns)):
         raise FormatError(
             f"{path}: its {len(at)} rows are of columns {at.min():g} to {at.max():g}; the image has the "

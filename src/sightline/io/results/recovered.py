@@ -84,6 +84,12 @@ def read_recovered(folder: Path, acquisition: Acquisition) -> Recovered:
     summary = read_summary(folder)
     _check_hashes(folder, summary, acquisition)
     table = read_motion(folder / "motion.csv")
+    whole = summary.get("lines", len(table.t))
+    if len(table.t) != whole:
+        raise FormatError(
+            f"{folder / 'motion.csv'}: has {len(table.t)} rows where `recover` wrote {whole} (lines of "
+            "summary.json); give its folder as it was written, or run it again"
+        )
     t, angles = _prolonged(folder, table.t, table.angles)
     relief = read_relief(folder, summary, acquisition.names)
     recovered = Recovered(Motion(t, angles), _statics(folder, summary), summary, relief)

@@ -20,12 +20,12 @@ from sightline.errors import InputError, SightlineError
 from sightline.execution import Step, no_step, part_of
 from sightline.geometry.surface import Infinity
 from sightline.io.acquisition.load import acquisition_of_size, load_acquisition
-from sightline.io.acquisition.schema import AcquisitionFile, BandSection
+from sightline.io.acquisition.schema import AcquisitionFile, BandSection, KnownAttitude
 from sightline.io.config import read_toml, validate
 from sightline.io.init.bands import path_from
 from sightline.io.names import file_stems, toml_value
 from sightline.simulate.acquired import AcquiredOptions, AcquiredScenario, cropped
-from sightline.simulate.files import write_image, write_numbers
+from sightline.simulate.files import attitude_known, write_image, write_numbers
 
 #: Names of files in the folder of a scene beside its images.
 TOML, TRUTH, BAND_TRUTH = "acquisition.toml", "truth.csv", "truth-bands.csv"
@@ -80,7 +80,10 @@ def read_acquired(options: AcquiredOptions) -> AcquiredFile:
     raw = read_toml(path)
     config = validate(AcquisitionFile, raw, path)
     if not config.band:
-        raise InputError(f"{path}: has no [[band]]: bands of line detectors are simulated")
+        raise InputError(
+            f"{path}: has no [[band]]: bands of line detectors are simulated; "
+            "for frames: simulate line-of-sight --case frames"
+        )
     given = load_acquisition(path, look=False, describe=True)
     if isinstance(given.surface, Infinity):
         raise InputError(f'{path}: [surface] kind = "infinity": there is no ground to render; give a height')
@@ -159,12 +162,17 @@ def write_acquired(
     written.append(write_numbers(folder / TRUTH, "t,roll,pitch,yaw", scenario.truth))
     written.append(_write_band_truth(folder / BAND_TRUTH, scenario))
     toml = folder / TOML
-    toml.write_text(acquired_toml(file, scenario.seed, out), encoding="utf-8")
+    toml.write_text(acquired_toml(file, scenario.seed, out, attitude_known(scenario.truth)), encoding="utf-8")
     return {path.name: path for path in [toml, *written]}
 
 
-def acquired_toml(file: AcquiredFile, seed: int, place: Path) -> str:
-    """The ACQUISITION file of the strip, its paths as seen from the folder `place`."""
+def acquired_toml(
+    file: AcquiredFile, seed: int, place: Path, attitude: Mapping[str, float] | None = None
+) -> str:
+    """The ACQUISITION file of the strip, its paths as seen from the folder `place`.
+
+    `attitude` says how well the attitude is known, by key of [platform], where the file does not.
+    """
     found = {name: table for name, table in file.tables.items() if name not in _MEASURED}
     header = {
         key: value
@@ -179,6 +187,8 @@ def acquired_toml(file: AcquiredFile, seed: int, place: Path) -> str:
         moved = [_moved(row, keys, file.path.parent, place) for row in each]
         if table in found:
             found[table] = moved if isinstance(rows, list) else moved[0]
+    if attitude and isinstance(file.config.platform, KnownAttitude):
+        found["platform"] = {**attitude, **found["platform"]}
     found["band"] = [
         _band_table(file, row, image) for row, image in zip(found["band"], _images(file), strict=True)
     ]

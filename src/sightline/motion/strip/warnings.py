@@ -465,11 +465,20 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
                 said.append(f"{words.format(axis, value)} ({abs(value) / sigma:.2g} sigmas)")
     if not said:
         return []
+    usual = [
+        name
+        for name, stated in (
+            ("attitude_sigma 0.01 rad", strip.known.attitude_sigma),
+            ("rate_sigma 0.001 rad/s", strip.known.rate_sigma),
+        )
+        if stated is None
+    ]
+    taken = (
+        f", where [platform] says none {' and '.join(usual)}, or for yaw as its motion goes" if usual else ""
+    )
     return [
         f"far from what was given: {', '.join(said)}; {_exchanged(strip, far)}check ifov or directions, "
-        "look_ahead, rotation, line times and attitudes, or the sigmas that are stated of them ([platform] "
-        "attitude_sigma and rate_sigma are 0.01 rad and 0.001 rad/s where they are not given; of yaw as much "
-        "as its motion goes, where that is more)"
+        f"look_ahead, rotation, line times and attitudes, or the sigmas that are stated of them{taken}"
     ]
 
 
