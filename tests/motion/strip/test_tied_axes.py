@@ -127,8 +127,11 @@ def broadband(sigma, timescale=0.0092):
     return Spectrum((JITTER.components[0], Matern(sigma, timescale, "3/2")))
 
 
-def jitter_in_noise():
-    """Of rows that tell roll and yaw together to .016 px, apart to .24 and .43; they shake by .1 px."""
+def jitter_in_noise(tone=0.0):
+    """Of rows that tell roll and yaw together to .016 px, apart to .24 and .43; they shake by .1 px.
+
+    And roll by a tone (px) of 30 Hz.
+    """
     rng, count, lag = np.random.default_rng(2), 300, 35
     t = STEP * np.arange(count)
     apart = np.abs(np.subtract.outer(t, t))
@@ -136,6 +139,7 @@ def jitter_in_noise():
     covariance = 0.1**2 * (1.0 + jitter) * np.exp(-jitter)
     covariance += 2.0**2 * (1.0 + drift + drift**2 / 3.0) * np.exp(-drift)
     motion = np.linalg.cholesky(covariance + 1e-8 * np.eye(count)) @ rng.standard_normal((count, 3))
+    motion[:, 0] += np.sqrt(2.0) * tone * np.sin(2.0 * np.pi * 30.0 * t)
     lever = np.array([0.24, 0.0, -0.43])
     variance = np.outer(lever, lever) + 0.016**2 * np.eye(3)
     whiten = np.linalg.inv(np.linalg.cholesky(variance))
@@ -158,23 +162,26 @@ def test_jitter_that_rows_tell_of_two_axes_together_is_shared_by_both():
     assert 0.03 < roll < 0.2 and 0.03 < yaw < 0.2
 
 
-def test_noise_that_an_axis_alone_took_for_jitter_is_none_to_both_and_none_gets_louder():
-    found = jitter_in_noise()
+def test_noise_that_an_axis_alone_took_for_jitter_is_none_to_both():
     # as loud as the noise of a row, up to all frequencies
     white = broadband(0.4, 0.0008)
-    for louder in (True, False):
-        spectra = fit_tied(found, [(white, JITTER, white)], (0, 2), (JITTER,) * 3, louder=louder)
-        roll, yaw = (one.components[1].sigma for one in (spectra[0], spectra[2]))
-        # as well known as in the test before
-        assert np.hypot(roll * 0.43, yaw * 0.24) == pytest.approx(0.1 * np.hypot(0.43, 0.24), rel=0.3)
-        # at half the rate of the rows it began with 370 times the truth
-        for one in (spectra[0], spectra[2]):
-            assert one.psd(np.array([125.0])) < 0.1 * white.psd(np.array([125.0]))
-    none = broadband(0.006)
-    spectra = fit_tied(found, [(none, JITTER, none)], (0, 2), (JITTER,) * 3, louder=False)
+    spectra = fit_tied(jitter_in_noise(), [(white, JITTER, white)], (0, 2), (JITTER,) * 3)
+    roll, yaw = (one.components[1].sigma for one in (spectra[0], spectra[2]))
+    # as well known as in the test before
+    assert np.hypot(roll * 0.43, yaw * 0.24) == pytest.approx(0.1 * np.hypot(0.43, 0.24), rel=0.3)
+    # at half the rate of the rows it began with 370 times the truth
     for one in (spectra[0], spectra[2]):
-        assert one.components[1].sigma <= 0.006 * (1.0 + 1e-9)
-        assert one.components[1].timescale >= 0.0092 * (1.0 - 1e-9)
+        assert one.psd(np.array([125.0])) < 0.1 * white.psd(np.array([125.0]))
+
+
+def test_a_tone_comes_to_where_both_axes_together_show_it():
+    off = Spectrum((*JITTER.components, Tone(0.2, 30.3, 0.1)))
+    found = fit_tied(jitter_in_noise(0.2), [(off, JITTER, JITTER)], (0, 2), (JITTER,) * 3)
+    # over 1.2 s, sqrt(6) / (pi T) times jitter over amplitude, over the root of some fifty independent rows:
+    # .03 Hz, three of these
+    assert found[0].tones[0].frequency == pytest.approx(30.0, abs=0.1)
+    # it is told from the edge of how far a tone may stray
+    assert off.tones[0].frequency - 0.5 / 1.2 < 29.9
 
 
 def test_the_search_begins_with_the_best_of_some():

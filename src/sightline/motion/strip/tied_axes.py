@@ -24,6 +24,7 @@ from sightline.estimation.search import (
     BELIEF,
     LONGEST_DRIFT,
     SETTLED,
+    STRAYS,
     NoiseModel,
     descend_within,
     drift_adjustment,
@@ -52,8 +53,8 @@ LEAST_LAGS = 4.0
 ITERATIONS = 40
 #: Second derivatives of the deviance by the logarithms of sizes and times: of broad parts, of tones.
 CURVATURE, TONE_CURVATURE = 20.0, 8.0
-#: Parameters of the broad parts, before two of each tone.
-BROAD_PARAMETERS = 4
+#: Parameters of the broad parts, before three of each tone.
+BROAD_PARAMETERS, TONE_PARAMETERS = 4, 3
 #: How far logarithms of sizes may fall and rise.
 SIZES = (-7.0, 4.0)
 
@@ -88,8 +89,12 @@ class TiedEvidence:
         Even rates are as the estimate has them, and known as closely as it holds drifts: where none is given
         that of yaw may be any that its motion lets expect, and the parabola of roll that belongs to it is no
         part of roll. Those of hidden drifts that nothing ties do not tell of spectra.
+        Of what jitter within stages of TDI displaces matches by only what the estimate leaves unexplained is
+        in them, as in the rows of each axis: spectra that do not hold the modes that stages hide would take
+        it for quick jitter.
         """
         grid = estimate.grid
+        stars = [replace(star, uneven=None) for star in stars]
         measured = [
             post + modelled(star, grid, estimate.nodes, estimate.statics)
             for star, post in zip(stars, post_px, strict=True)
@@ -198,8 +203,6 @@ def fit_tied(
     axes: Sequence[int],
     usual: Sequence[Spectrum],
     settled: float = SETTLED,
-    *,
-    louder: bool = True,
 ) -> list[Spectrum]:
     """Spectra of roll, pitch and yaw (rad) of which those of some axes explain the images best together.
 
@@ -207,16 +210,15 @@ def fit_tied(
     ----------
     evidence : TiedEvidence
     begins : sequence of three Spectrum
-        Each with a drift, a broadband part and tones, of which sizes, times and widths are fitted: the search
-        begins with the best of these, and of the first with sizes no smaller than the usual ones.
+        Each with a drift, a broadband part and tones, of which sizes, times, widths and frequencies are
+        fitted: the search begins with the best of these, and of the first with sizes no smaller than the
+        usual ones.
     axes : sequence of int
         Those that are fitted.
     usual : three Spectrum
         Of the size, about, that broadband parts and tones have beforehand.
     settled : float
         Deviance that the last step of the search gains at most.
-    louder : bool
-        Whether broadband parts may come out larger or quicker than they begin.
 
     Notes
     -----
@@ -226,7 +228,6 @@ def fit_tied(
     """
     # from a part of no size nothing leads to one that it shares with another axis
     larger = _Parameters(evidence, tuple(begins[0]), tuple(axes), tuple(usual)).at_least_usual()
-    starts = [*begins, larger] if louder else begins
 
     def deviance(spectra: Sequence[Spectrum]) -> float:
         try:
@@ -234,26 +235,28 @@ def fit_tied(
         except (EstimationError, InputError):  # sizes so unlike that the equations have no factor
             return math.inf
 
-    begin = min(starts, key=deviance)
-    tied = _Parameters(evidence, tuple(begin), tuple(axes), tuple(usual), louder)
+    begin = min((*begins, larger), key=deviance)
+    tied = _Parameters(evidence, tuple(begin), tuple(axes), tuple(usual))
     return tied.spectra(tied.search(settled))
 
 
 @dataclass(frozen=True, eq=False)
 class _Parameters:
-    """Spectra of some axes as one vector: logarithms of sizes, of times, and of widths of tones."""
+    """Spectra of some axes as one vector: logarithms of sizes, of times, of widths of tones; their shifts.
+
+    A shift of 1 moves a tone as far as it may stray.
+    """
 
     evidence: TiedEvidence
     begin: tuple[Spectrum, ...]
     axes: tuple[int, ...]
     usual: tuple[Spectrum, ...]
-    louder: bool = True
 
     def places(self) -> list[tuple[int, slice]]:
         """Each axis, with where its parameters stand."""
         out, end = [], 0
         for axis in self.axes:
-            size = BROAD_PARAMETERS + 2 * len(self.begin[axis].tones)
+            size = BROAD_PARAMETERS + TONE_PARAMETERS * len(self.begin[axis].tones)
             out.append((axis, slice(end, end + size)))
             end += size
         return out
@@ -266,13 +269,15 @@ class _Parameters:
         return out
 
     def _parts(self, x: Array, axis: int) -> list[Matern | Tone]:
-        begin, size = NoiseModel.of(self.begin[axis]), np.exp(x)
+        begin, size = NoiseModel.of(self.begin[axis]), np.exp(x[:BROAD_PARAMETERS])
         out: list[Matern | Tone] = [
             replace(begin.drift, sigma=size[0], timescale=size[1]),
             replace(begin.broadband, sigma=size[2], timescale=size[3]),
         ]
-        for tone, (sigma, width) in zip(begin.tones, size[BROAD_PARAMETERS:].reshape(-1, 2), strict=True):
-            out.append(replace(tone, sigma=sigma, bandwidth=width))
+        tones = x[BROAD_PARAMETERS:].reshape(-1, TONE_PARAMETERS)
+        for tone, (sigma, shift, width) in zip(begin.tones, tones, strict=True):
+            frequency = tone.frequency + STRAYS * shift / self.evidence.length
+            out.append(Tone(math.exp(sigma), frequency, math.exp(width)))
         return out
 
     def at_least_usual(self) -> list[Spectrum]:
@@ -319,19 +324,18 @@ class _Parameters:
             sizes[2],
             (math.log(0.2 * step), math.log(0.2 * length)),
         ]
-        if not self.louder:
-            bounds[2] = (sizes[2][0], x[2])
-            bounds[3] = (min(max(bounds[3][0], x[3]), bounds[3][1]), bounds[3][1])
         centre, pull = list(x), [BELIEF**-2] * BROAD_PARAMETERS
         curvature = [CURVATURE] * BROAD_PARAMETERS
         for tone in begin.tones:
             size, widths = math.log(tone.sigma), tone_widths(tone.frequency, length)
             usual, least, most = (math.log(width) for width in widths)
-            x += [size, math.log(tone.bandwidth)]
-            bounds += [(size + SIZES[0], size + SIZES[1]), (least, most)]
-            centre += [size, usual]
-            pull += [BELIEF**-2] * 2
-            curvature += [TONE_CURVATURE] * 2
+            x += [size, 0.0, math.log(tone.bandwidth)]
+            bounds += [(size + SIZES[0], size + SIZES[1]), (-1.0, 1.0), (least, most)]
+            centre += [size, 0.0, usual]
+            pull += [BELIEF**-2, 0.0, BELIEF**-2]  # frequencies: bounded, not believed
+            # as for one axis
+            turned = 4.0 * math.pi * STRAYS**2 / min(tone.bandwidth * length, 1.0)
+            curvature += [TONE_CURVATURE, turned, TONE_CURVATURE]
         return np.array(x), np.array(bounds), np.array(centre), np.array(pull), np.array(curvature)
 
     def _by_parameters(self, x: Array, axis: int, by_lag: Array) -> Array:
@@ -339,7 +343,8 @@ class _Parameters:
         lags = self.evidence.data.grid.step * np.arange(float(len(by_lag)))
         step, out = 1e-3, np.zeros(len(x))
         for k in range(len(x)):
-            part, sides = k // 2, []
+            part = k // 2 if k < BROAD_PARAMETERS else 2 + (k - BROAD_PARAMETERS) // TONE_PARAMETERS
+            sides = []
             for sign in (1.0, -1.0):
                 moved = x.copy()
                 moved[k] += sign * step
@@ -367,7 +372,7 @@ class _Parameters:
         for k, tone in enumerate(self.begin[axis].tones):
             size = usual_size(usual.tones, tone.frequency, self.evidence.length)
             if size is not None:
-                out.append((BROAD_PARAMETERS + 2 * k, size))
+                out.append((BROAD_PARAMETERS + TONE_PARAMETERS * k, size))
         return out
 
 
