@@ -469,6 +469,11 @@ def test_what_moves_where_all_pairs_are_blind_may_be_of_each_axis() -> None:
     # what roll shows by itself may be some of it, or all
     assert modes(0.0375, 0.075, moves=0.02, tones=((50.0, 0.2), (52.9, 0.2))) != none
     assert modes(0.0375, 0.075, moves=0.02, tones=()) == none
+    # it is near enough to be one, though nothing else moves: where it is found; 1.5 / 0.7 Hz is not
+    for f, is_near in ((51.4, True), (51.0, False), (55.3, True), (55.7, False)):
+        for one in modes(0.0375, 0.075, tones=((f, 0.2),)):
+            assert [tone.frequency for tone in one] == ([pytest.approx(f)] if is_near else [])
+    assert modes(0.0375, 0.07, tones=((51.4, 0.2),)) == none
     model = replace(BROAD, blind=each)
     assert [s.components[-1] for s in model.estimated().spectra] == [tone for (tone,) in each]
     assert not model.estimated().estimated().unseen_variance.any()

@@ -680,7 +680,9 @@ def _blind_modes(
     look farther ahead: as a tone of roll beside a frequency to which all pairs are blind moves them. Which
     of the two it is no match tells, and differences, about an estimate that has taken one of them, show
     nothing of the other. A tone of such a frequency in the estimate of any axis is taken for a mode
-    that may be of each, as large as the strongest that are seen: with the odds of one to one.
+    that may be of each, as large as the strongest that are seen: with the odds of one to one. So is one that
+    is found no farther from there than tones are told apart, where it is found on average: what an axis
+    shows of it changes much within what is known of its frequency, and may be another's.
     """
     none: tuple[tuple[Tone, ...], ...] = ((), (), ())
     tones = [(t.frequency, (t.sigma / px) ** 2) for s, px in zip(found, pixel, strict=True) for t in s.tones]
@@ -690,7 +692,13 @@ def _blind_modes(
     lags = [float(np.median(d.lag)) for d in differences]
     blind = blind_together(lags, [len(d.t) for d in differences], NOT_FAR * float(frequency.max())).tolist()
     strength = seen_modes(frequency, variance)[0]
-    some = [f for f in blind if _moves_at(f, 3 * len(blind), found, differences, estimate, length)]
+    some = []
+    for f in blind:
+        near = np.abs(frequency - f) <= SAME_TONE / length
+        if near.any():
+            some.append(float(np.average(frequency[near], weights=variance[near])))
+        elif _moves_at(f, 3 * len(blind), found, differences, estimate, length):
+            some.append(f)
     return tuple(
         tuple(Tone(px * math.sqrt(0.5 * strength / f**3), f, BLIND_WIDTH / length) for f in some)
         for px in pixel.tolist()
