@@ -88,6 +88,10 @@ def test_what_chance_keeps_of_a_band_that_matches_nothing_takes_no_part(of_c, le
     assert first.star.present.sum(axis=0).tolist() == [150, left]
     assert second.star.present.sum() == (5 if left else 0)
     assert (first.status == KEPT).sum(axis=0).tolist() == [150, left]
+    # few windows that all match are few, not chance
+    short = record(1, (2,), 5)
+    short = replace(short, status=np.where(short.status == KEPT, KEPT, OUTSIDE).astype(np.uint8))
+    assert without_lost([first, short], 3)[1].star.present.sum() == 5
     # where no band matches, none is the odd one
     alone = [record(0, (1, 2), 5, 5)]
     assert without_lost(alone, 3) == tuple(alone)

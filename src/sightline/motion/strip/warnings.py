@@ -291,7 +291,7 @@ def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
 def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: RecoverOptions) -> list[str]:
     """Bands none of whose pairs keeps enough windows, and the one mistake that is why where there is one."""
     compared, kept = _pairs_compared(records, len(strip.bands))
-    alone = _matches_nothing(compared, kept)
+    alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
     # those of coarse pixels first, whose windows are compared with those of fine ones
     groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone)
@@ -312,11 +312,11 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: Recov
 
 
 def without_lost(records: Sequence[StarRecord], bands: int) -> tuple[StarRecord, ...]:
-    """The records without what little was kept of bands that match nothing, beside others that do.
+    """The records without what little was kept of bands that look like no other, beside others that match.
 
     Chance made it, or it lies where the search ended: a place for such a band, and a motion, no sigma owns.
     """
-    lost = _matches_nothing(*_pairs_compared(records, bands))
+    lost = like_none(records, bands, LEAST_SHARE)
     if not lost.any() or lost.all():
         return tuple(records)
     out = []
@@ -327,11 +327,6 @@ def without_lost(records: Sequence[StarRecord], bands: int) -> tuple[StarRecord,
         residual = np.where(gone[:, None], np.nan, star.residual_px)
         out.append(replace(record, star=replace(star, residual_px=residual), status=status))
     return tuple(out)
-
-
-def _matches_nothing(compared: NDArray[np.intp], kept: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """(bands,) those none of whose pairs (bands, bands) keeps enough windows."""
-    return np.asarray(~pair_tells(kept, compared).any(axis=1))
 
 
 def _tried(record: StarRecord) -> NDArray[np.bool_]:
@@ -350,10 +345,10 @@ def _pairs_compared(records: Sequence[StarRecord], bands: int) -> tuple[NDArray[
     return compared + compared.T, kept + kept.T
 
 
-def like_none(records: Sequence[StarRecord], bands: int) -> NDArray[np.bool_]:
-    """(bands,) those that look like no other that they were compared with."""
+def like_none(records: Sequence[StarRecord], bands: int, share: float = HARDLY) -> NDArray[np.bool_]:
+    """(bands,) those that keep less than a `share` of the windows compared with each other band."""
     compared, kept = _pairs_compared(records, bands)
-    return np.asarray(compared.any(axis=1) & (kept < HARDLY * compared + (compared == 0)).all(axis=1))
+    return np.asarray(compared.any(axis=1) & (kept < share * compared + (compared == 0)).all(axis=1))
 
 
 def spoilt_hub(records: Sequence[StarRecord], bands: int) -> int | None:
