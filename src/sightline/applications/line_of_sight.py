@@ -140,8 +140,8 @@ ASIDE = 0.95
 #: Fewer matches than these, or first ones than this share of the windows tried, are such as chance keeps: the
 #: prediction is wrong, texture is not what is missing.
 FEWEST_KEPT, MIN_KEPT_SHARE = 20, 0.02
-#: Where fewer windows than half of those tried are kept, the first search goes so many times as far, up to so
-#: many px, and counts if it keeps so many times as many.
+#: Where fewer windows than half of those tried are kept, or a band looks like none, the first search goes so
+#: many times as far, up to so many px, and counts if it keeps so many times as many, or finds the band.
 FARTHER, FARTHEST, MORE_KEPT = 3, 32, 1.3
 #: Times that what nothing was found of for longer than the memory of the motion's model is sought again, each
 #: of which must find so much more of all windows: over clouds and water there is nothing to be found.
@@ -498,7 +498,7 @@ def _first_pass(
 def _searched(
     strip: Strip, nodes: Array, statics: Array, plan: MatchingPlan, tell: Progress
 ) -> tuple[Strip, tuple[StarRecord, ...], tuple[int, int]]:
-    """The first matches, and how far (lines, columns) px they were searched: farther where few are kept.
+    """The first matches, and how far (lines, columns) px they were searched: farther where some are lost.
 
     A turn about the line of sight moves bands that look ahead of a narrow line far across it: of several
     bands it may be one that is out of reach.

@@ -28,7 +28,6 @@ from sightline.motion.strip.hyper import (
 )
 from sightline.motion.strip.joint import JointEstimate, JointPrior
 from sightline.motion.strip.normal_equations import GroundOrder, TimeGrid, normal_equations
-from sightline.motion.strip.tied_axes import TiedEvidence
 
 STEP = 1e-3
 SIGMA = 0.05
@@ -63,19 +62,6 @@ class TestAveraged:
         # interpolation less than (2 pi f step)^4 * 9 / 384 = 0.19^4 * 9 / 384 = 3e-5
         assert_allclose(got, want, atol=2e-3)
         assert np.sinc(f * d) < 0.85
-
-
-def test_one_likelihood_of_all_axes_does_not_read_the_motion_from_blur_within_stages():
-    star = plain_star(60, 8, 2, SIGMA)
-    uneven = 0.1 * np.random.default_rng(0).standard_normal((*star.t.shape, 2, 2, 3, 3)).astype(np.float32)
-    uneven *= np.nanmax(np.abs(star.by_hub))
-    staged = replace(star, uneven=uneven, uneven_at=1e-3 * np.arange(-1.0, 2.0))
-    estimate = estimate_of(star, lambda t: 1e-6 * np.sin(300.0 * t[:, None] + np.arange(3.0)))
-    spectra = (Spectrum((Matern(1e-5, 0.1, "5/2"), Matern(1e-6, 0.01, "3/2"))),) * 3
-    plain, other = (
-        TiedEvidence.of([one], [star.residual_px], estimate, 10).deviance(spectra) for one in (star, staged)
-    )
-    assert plain == other
 
 
 class TestDifferences:

@@ -162,16 +162,23 @@ def test_jitter_that_rows_tell_of_two_axes_together_is_shared_by_both():
     assert 0.03 < roll < 0.2 and 0.03 < yaw < 0.2
 
 
-def test_noise_that_an_axis_alone_took_for_jitter_is_none_to_both():
+def test_noise_that_an_axis_alone_took_for_jitter_is_none_to_both_and_none_gets_louder():
+    found = jitter_in_noise()
     # as loud as the noise of a row, up to all frequencies
     white = broadband(0.4, 0.0008)
-    spectra = fit_tied(jitter_in_noise(), [(white, JITTER, white)], (0, 2), (JITTER,) * 3)
-    roll, yaw = (one.components[1].sigma for one in (spectra[0], spectra[2]))
-    # as well known as in the test before
-    assert np.hypot(roll * 0.43, yaw * 0.24) == pytest.approx(0.1 * np.hypot(0.43, 0.24), rel=0.3)
-    # at half the rate of the rows it began with 370 times the truth
+    for louder in (True, False):
+        spectra = fit_tied(found, [(white, JITTER, white)], (0, 2), (JITTER,) * 3, louder=louder)
+        roll, yaw = (one.components[1].sigma for one in (spectra[0], spectra[2]))
+        # as well known as in the test before
+        assert np.hypot(roll * 0.43, yaw * 0.24) == pytest.approx(0.1 * np.hypot(0.43, 0.24), rel=0.3)
+        # at half the rate of the rows it began with 370 times the truth
+        for one in (spectra[0], spectra[2]):
+            assert one.psd(np.array([125.0])) < 0.1 * white.psd(np.array([125.0]))
+    none = broadband(0.006)
+    spectra = fit_tied(found, [(none, JITTER, none)], (0, 2), (JITTER,) * 3, louder=False)
     for one in (spectra[0], spectra[2]):
-        assert one.psd(np.array([125.0])) < 0.1 * white.psd(np.array([125.0]))
+        assert one.components[1].sigma <= 0.006 * (1.0 + 1e-9)
+        assert one.components[1].timescale >= 0.0092 * (1.0 - 1e-9)
 
 
 def test_a_tone_comes_to_where_both_axes_together_show_it():

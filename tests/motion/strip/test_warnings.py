@@ -62,7 +62,7 @@ def test_what_was_found_far_from_what_was_given_is_named():
     assert "R offset across is -8.6 px (8.6 sigmas), R scale is 0.004 (4 sigmas)" in said
     assert "a constant yaw of 0.042 rad (42 sigmas)" in said and "rotation is" not in said
     # only what is not said is said to be taken for granted
-    assert "where [platform] says none rate_sigma 0.001 rad/s, or for yaw" in said
+    assert "(not given, and taken as: rate_sigma 0.001 rad/s, of yaw" in said
     drifting = Motion(np.arange(3.0), np.outer(np.arange(3.0) - 1.0, [0.0, 2.5e-3, -0.03]))
     (said,) = _far_off(strip, near, drifting)
     assert "an even rate of yaw of -0.03 rad/s (30 sigmas)" in said and "pitch" not in said

@@ -588,20 +588,21 @@ def fit_prior_model(
     best = int(np.argmax(shown))
     # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
     usual = [first[best].as_found.scaled(float(size / pixel[best])) for size in pixel]
-    # none where rows do not see the angles; what jitter within TDI stages displaces matches by stays in rows,
-    # and together would be taken for quick jitter
-    together = (
-        min(own[ROLL], own[YAW]) < OWN
-        and any(math.isfinite(row_sigma[axis]) for axis in (ROLL, YAW))
-        and all(s.tdi is None for s in stars)
-    )
+    # none where rows do not see the angles
+    together = min(own[ROLL], own[YAW]) < OWN and any(math.isfinite(row_sigma[axis]) for axis in (ROLL, YAW))
+    staged = any(s.tdi is not None for s in stars)
+    if staged:
+        # what stages hide shows in rows by its blur, and together would be taken for quick jitter: so only
+        # where one angle by itself is as loud as rows can tell, up to half their rate, which is its noise
+        quick = 0.5 / max(float(np.median(np.diff(np.unique(d.t)))) for d in differences)
+        together &= any(_broadband(spectra[axis]).corner > quick for axis in (ROLL, YAW))
     if together:
         if across is not None:
             usual[YAW] = across
         evidence = TiedEvidence.of(stars, post_px, estimate, ORDER)
         begins = [spectra, *([] if start is None else _of_one_kind(start.spectra, spectra))]
         tied = [ROLL, YAW] if own[PITCH] > OWN else [ROLL, PITCH, YAW]
-        spectra = fit_tied(evidence, begins, tied, usual, max(settled, TIED_SETTLED))
+        spectra = fit_tied(evidence, begins, tied, usual, max(settled, TIED_SETTLED), louder=not staged)
     scales = [
         one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
         for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)

@@ -114,16 +114,21 @@ class JointPrior:
         return [k for k in range(3) if self.curve_sigma[k] > 0.0 and self.apart is None]
 
     @property
+    def _drifting(self) -> list[int]:
+        """Axes with a free even drift."""
+        return [k for k in range(3) if self.even and self.drift_sigma[k] > 0.0]
+
+    @property
     def free_sigma(self) -> Array:
         """Sigmas (F,) rad of what `angles` leave free: parabolas, even drifts if any, a constant per axis."""
-        even = self.drift_sigma if self.even else ()
-        return np.array([*(self.curve_sigma[k] for k in self._curved), *even, *self.constant_sigma])
+        drifts = (self.drift_sigma[k] for k in self._drifting)
+        return np.array([*(self.curve_sigma[k] for k in self._curved), *drifts, *self.constant_sigma])
 
     def free_shapes(self, count: int, block: int) -> Array:
         """(block * count, F) motions of the grid of which `free_sigma` are the sigmas."""
         u = np.linspace(-1.0, 1.0, count)
         parabolas = [(k, 1.5 * u**2 - 0.5) for k in self._curved]
-        drifts = [(k, u) for k in range(3)] if self.even else []
+        drifts = [(k, u) for k in self._drifting]
         shapes = [*parabolas, *drifts, *((k, np.ones(count)) for k in range(3))]
         out = scratch_array((block * count, len(shapes)))
         for column, (axis, values) in enumerate(shapes):
@@ -488,7 +493,13 @@ class JointEstimate:
         if self.ties is not None:
             prior = replace(prior, own_precision=self._prior.own_precision).loosened(self.ties.tied)
         spread, _ = joint_factor(self._data, prior, constants=True).times(flat)
-        return np.asarray(flat.T @ spread)
+        covariance = np.asarray(flat.T @ spread)
+        # constants of roll and pitch are held, whatever the images say by how motions about axes that are
+        # turned look: no better known than that
+        for axis in (0, 1):
+            if prior.constant_sigma[axis] < TIED_SIGMA:
+                covariance[axis, axis] = max(covariance[axis, axis], prior.constant_sigma[axis] ** 2)
+        return covariance
 
     def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
         """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
@@ -676,7 +687,7 @@ def _beside(data: NormalEquations, factor: Factor) -> Array:
 
 
 def joint_factor(data: NormalEquations, prior: JointPrior, *, constants: bool = False) -> Factor:
-    """Factor of data + prior, constants of the motion held or not; statics and parabolas are its border."""
+    """Factor of data + prior, constants of the motion held or not; statics and free shapes are its border."""
     return _factor(_banded_factor(data, prior), data, prior, constants=constants)
 
 

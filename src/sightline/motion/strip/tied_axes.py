@@ -89,12 +89,8 @@ class TiedEvidence:
         Even rates are as the estimate has them, and known as closely as it holds drifts: where none is given
         that of yaw may be any that its motion lets expect, and the parabola of roll that belongs to it is no
         part of roll. Those of hidden drifts that nothing ties do not tell of spectra.
-        Of what jitter within stages of TDI displaces matches by only what the estimate leaves unexplained is
-        in them, as in the rows of each axis: spectra that do not hold the modes that stages hide would take
-        it for quick jitter.
         """
         grid = estimate.grid
-        stars = [replace(star, uneven=None) for star in stars]
         measured = [
             post + modelled(star, grid, estimate.nodes, estimate.statics)
             for star, post in zip(stars, post_px, strict=True)
@@ -203,6 +199,8 @@ def fit_tied(
     axes: Sequence[int],
     usual: Sequence[Spectrum],
     settled: float = SETTLED,
+    *,
+    louder: bool = True,
 ) -> list[Spectrum]:
     """Spectra of roll, pitch and yaw (rad) of which those of some axes explain the images best together.
 
@@ -219,6 +217,8 @@ def fit_tied(
         Of the size, about, that broadband parts and tones have beforehand.
     settled : float
         Deviance that the last step of the search gains at most.
+    louder : bool
+        Whether broadband parts may come out larger or quicker than they begin.
 
     Notes
     -----
@@ -228,6 +228,7 @@ def fit_tied(
     """
     # from a part of no size nothing leads to one that it shares with another axis
     larger = _Parameters(evidence, tuple(begins[0]), tuple(axes), tuple(usual)).at_least_usual()
+    starts = [*begins, larger] if louder else begins
 
     def deviance(spectra: Sequence[Spectrum]) -> float:
         try:
@@ -235,8 +236,8 @@ def fit_tied(
         except (EstimationError, InputError):  # sizes so unlike that the equations have no factor
             return math.inf
 
-    begin = min((*begins, larger), key=deviance)
-    tied = _Parameters(evidence, tuple(begin), tuple(axes), tuple(usual))
+    begin = min(starts, key=deviance)
+    tied = _Parameters(evidence, tuple(begin), tuple(axes), tuple(usual), louder)
     return tied.spectra(tied.search(settled))
 
 
@@ -251,6 +252,7 @@ class _Parameters:
     begin: tuple[Spectrum, ...]
     axes: tuple[int, ...]
     usual: tuple[Spectrum, ...]
+    louder: bool = True
 
     def places(self) -> list[tuple[int, slice]]:
         """Each axis, with where its parameters stand."""
@@ -324,6 +326,9 @@ class _Parameters:
             sizes[2],
             (math.log(0.2 * step), math.log(0.2 * length)),
         ]
+        if not self.louder:
+            bounds[2] = (sizes[2][0], x[2])
+            bounds[3] = (min(max(bounds[3][0], x[3]), bounds[3][1]), bounds[3][1])
         centre, pull = list(x), [BELIEF**-2] * BROAD_PARAMETERS
         curvature = [CURVATURE] * BROAD_PARAMETERS
         for tone in begin.tones:

@@ -469,7 +469,7 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
         if stated is None
     ]
     taken = (
-        f", where [platform] says none {' and '.join(usual)}, or for yaw as its motion goes" if usual else ""
+        f" (not given, and taken as: {', '.join(usual)}, of yaw as much more as it moves)" if usual else ""
     )
     return [
         f"far from what was given: {', '.join(said)}; {_exchanged(strip, far)}check ifov or directions, "
