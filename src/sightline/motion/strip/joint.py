@@ -480,8 +480,10 @@ class JointEstimate:
         -----
         A direction is the only one that holds the mean, or the drift from the middle to the ends, of its own
         axis: the covariance is that of these means and drifts. Priors alone bound them, and what attitude
-        sensors and control points say. Those of the `ample` prior: where roll and pitch are held says how
-        the estimate chose among what images cannot tell apart, not how well that is known.
+        sensors and control points say. Those of the `ample` prior: where drifts are held says how the
+        estimate chose among what images cannot tell apart, not how well that is known. A constant of roll or pitch
+        shows by how motions about turned axes look, in a linear problem: what there is of it beside the
+        drifts, not how far the attitude itself is off.
         """
         grid, block = self.grid, self._data.block
         own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
@@ -493,13 +495,7 @@ class JointEstimate:
         if self.ties is not None:
             prior = replace(prior, own_precision=self._prior.own_precision).loosened(self.ties.tied)
         spread, _ = joint_factor(self._data, prior, constants=True).times(flat)
-        covariance = np.asarray(flat.T @ spread)
-        # constants of roll and pitch are held, whatever the images say by how motions about axes that are
-        # turned look: no better known than that
-        for axis in (0, 1):
-            if prior.constant_sigma[axis] < TIED_SIGMA:
-                covariance[axis, axis] = max(covariance[axis, axis], prior.constant_sigma[axis] ** 2)
-        return covariance
+        return np.asarray(flat.T @ spread)
 
     def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
         """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
