@@ -481,9 +481,9 @@ class JointEstimate:
         A direction is the only one that holds the mean, or the drift from the middle to the ends, of its own
         axis: the covariance is that of these means and drifts. Priors alone bound them, and what attitude
         sensors and control points say. Those of the `ample` prior: where drifts are held says how the
-        estimate chose among what images cannot tell apart, not how well that is known. A constant of roll or pitch
-        shows by how motions about turned axes look, in a linear problem: what there is of it beside the
-        drifts, not how far the attitude itself is off.
+        estimate chose among what images cannot tell apart, not how well that is known. A constant of roll or
+        pitch shows by how motions about turned axes look, in a linear problem: what there is of it beside
+        the drifts, not how far the attitude itself is off.
         """
         grid, block = self.grid, self._data.block
         own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
