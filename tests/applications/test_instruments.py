@@ -114,7 +114,8 @@ def test_a_body_given_in_other_axes_moves_the_same(tmp_path):
 
     def solved(cameras):
         bands = [Band(f"b{k}", i, c, 1.0, 3e-4) for k, (i, c) in enumerate(zip(images, cameras, strict=True))]
-        return recover_line_of_sight(bands, Ellipsoid(), options=RecoverOptions(passes=1))
+        # after one pass either still moves by a sigma
+        return recover_line_of_sight(bands, Ellipsoid(), options=RecoverOptions(passes=2))
 
     cameras = scenario.nominal_cameras[:3]
     along = solved(cameras)
