@@ -27,7 +27,7 @@ from sightline.motion.strip.checks import windows_in_common
 from sightline.motion.strip.estimate import StripState, averaging_times, matched_span
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hidden import likely_modes
-from sightline.motion.strip.hyper import NOT_FAR
+from sightline.motion.strip.hyper import ATTITUDE_SIGMA, NOT_FAR, RATE_SIGMA
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.shape import shape_warnings
 from sightline.motion.strip.strip import RecoverOptions, Strip
@@ -463,8 +463,8 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     usual = [
         name
         for name, stated in (
-            ("attitude_sigma 0.01 rad", strip.known.attitude_sigma),
-            ("rate_sigma 0.001 rad/s", strip.known.rate_sigma),
+            (f"attitude_sigma {ATTITUDE_SIGMA:g} rad", strip.known.attitude_sigma),
+            (f"rate_sigma {RATE_SIGMA:g} rad/s", strip.known.rate_sigma),
         )
         if stated is None
     ]
