@@ -6,6 +6,7 @@ from scipy.linalg import toeplitz
 
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import NUGGET, Matern, Spectrum, TabulatedPsd, Tone, autoregressive
+from sightline.estimation.search import ORDER
 
 STEP = 1e-3
 SPECTRUM = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.1, 0.005, "3/2"), Tone(0.3, 47.0, 0.8)))
@@ -119,6 +120,21 @@ def test_a_drift_so_smooth_that_floats_cannot_tell_still_has_a_precision() -> No
 def test_the_order_is_cut_to_the_length() -> None:
     assert SPECTRUM.autoregressive(STEP, 40, 10).order == 9
     assert autoregressive([1.0], 0, 1).precision_band().shape == (1, 1)
+
+
+@pytest.mark.parametrize("lag", [0.012, 0.02, 0.04, 0.06])
+def test_an_autoregression_looks_back_far_enough_for_lags_of_fast_lines(lag: float) -> None:
+    # by closed forms: of a second difference over 60 ms one that looks back 16 ms made 1.96 times
+    # the variance. A quarter is an eighth in sigma, as much as a strip's own sigma is known to.
+    step, count = 2e-4, 800
+    tones = (Tone(0.3, 47.0, 1e-3), Tone(0.15, 83.0, 1e-3), Tone(0.08, 121.0, 1e-3))
+    spectrum = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.1, 0.0092, "3/2"), *tones))
+    nodes = round(lag / step)
+    weights = np.zeros(count)
+    weights[[0, nodes, 2 * nodes]] = 1.0, -2.0, 1.0
+    zero, one, two = spectrum.autocovariance(step * np.array([0.0, nodes, 2.0 * nodes]))
+    variance = spectrum.autoregressive(step, ORDER, count).variance_of(weights)
+    assert variance == pytest.approx(6.0 * zero - 8.0 * one + 2.0 * two, rel=0.25)
 
 
 def test_wrong_values_are_named() -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError, computes
 from sightline.estimation.likelihood import WORK
-from sightline.estimation.search import CLOSELY, SETTLED
+from sightline.estimation.search import CLOSELY, ORDER, SETTLED
 from sightline.execution import (
     Progress,
     Step,
@@ -64,7 +64,7 @@ from sightline.motion.strip.estimate import (
     with_blur_errors,
 )
 from sightline.motion.strip.fusion import uses
-from sightline.motion.strip.hyper import ORDER, KnownContent, PriorModel, fit_prior_model
+from sightline.motion.strip.hyper import KnownContent, PriorModel, fit_prior_model
 from sightline.motion.strip.joint import (
     INSTANTS,
     JointEstimate,
@@ -473,7 +473,8 @@ def _first_pass(
     found = _share_kept(records)
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     for _ in range(SOUGHT_AGAIN):
-        if _longest_lost(state.records) <= ORDER * strip.grid.step:
+        # over less than half of what the prior looks back it leads to what was lost by itself
+        if _longest_lost(state.records) <= 0.5 * ORDER * strip.grid.step:
             break
         # where a long strip moved out of reach of the search, what its neighbours show leads there
         nodes, statics = state.estimate.nodes, state.estimate.statics

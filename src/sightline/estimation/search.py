@@ -23,9 +23,11 @@ from sightline.estimation.series import SeriesEquations
 
 Array = NDArray[np.float64]
 
-#: Order of the autoregression while fitting. At 40 steps of 1 ms tones of 47 and 64 Hz pushed each other
-#: 0.7 Hz away, far beyond their width, and the errors of all tones grew by a quarter.
-ORDER = 80
+#: Order of the autoregressive priors. One that looks back less than a period of tones or of their difference,
+#: or less than drift and jitter take to part, makes the motion over longer lags up to twice as large as the
+#: spectrum says, and the fit then makes the jitter too small: by up to ten times at 80 steps of .2 ms, with
+#: sigmas half of what they should be. The band of the data's rows is about as wide anyway.
+ORDER = 160
 #: Candidates whose significance is computed exactly in each scan for tones.
 CANDIDATES = 32
 #: An alias is believed the less the higher its frequency, as the f^-4 of jitter spectra: it must lower the

@@ -24,12 +24,13 @@ from scipy.sparse import csr_array, diags_array
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import ORDERS, Component, Matern, Order, Spectrum, Tone
 from sightline.estimation.robust import doubted_weights
+from sightline.estimation.search import ORDER
 from sightline.motion.band import Band
 from sightline.motion.results import ControlFit
 from sightline.motion.sensors import ControlSightings
 from sightline.motion.strip.estimate import StripState, gauge, initial_attitude, reweighted_rows, sensor_rows
 from sightline.motion.strip.fusion import CUT, SensorRows, tie
-from sightline.motion.strip.hyper import ORDER, PriorModel
+from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import TIED_SIGMA, JointEstimate, JointPrior, solve_joint
 from sightline.motion.strip.normal_equations import TAPS, GroundOrder, TimeGrid, no_information
 from sightline.motion.strip.strip import RecoverOptions, Strip

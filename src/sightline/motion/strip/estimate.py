@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.prior import Autoregressive, TabulatedPsd
+from sightline.estimation.search import ORDER
 from sightline.execution import give_back_memory
 from sightline.geometry.trajectory import Motion
 from sightline.motion.measure.consensus import ground_weights
@@ -31,7 +32,7 @@ from sightline.motion.strip.fusion import (
     unfelt_tones,
 )
 from sightline.motion.strip.hidden import learned, with_shown_mode
-from sightline.motion.strip.hyper import ORDER, PriorModel
+from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import (
     CONSTANT_SIGMA,
     DRIFT_SIGMA,

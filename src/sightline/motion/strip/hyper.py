@@ -20,7 +20,7 @@ from scipy.linalg import matmul_toeplitz
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum, TabulatedPsd, Tone
-from sightline.estimation.search import SAME_TONE, SETTLED, seen_modes
+from sightline.estimation.search import ORDER, SAME_TONE, SETTLED, seen_modes
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
@@ -34,9 +34,6 @@ from sightline.writing import let_go
 
 Array = NDArray[np.float64]
 
-#: Order of the autoregressive priors. An autoregression tells tones apart that its memory holds a period of
-#: their difference of; the band of the data's rows is about as wide anyway.
-ORDER = 80
 #: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
 WEAK = 1e2
 #: Tones that are looked for per axis.
@@ -590,10 +587,11 @@ def fit_prior_model(
     usual = [first[best].as_found.scaled(float(size / pixel[best])) for size in pixel]
     # none where rows do not see the angles
     together = min(own[ROLL], own[YAW]) < OWN and any(math.isfinite(row_sigma[axis]) for axis in (ROLL, YAW))
+    # what stages hide shows in rows by its blur, and together would be taken for quick jitter: so only
+    # where one angle by itself is as loud as rows can tell, up to half their rate, which is its noise
     staged = any(s.tdi is not None for s in stars)
-    if staged:
-        # what stages hide shows in rows by its blur, and together would be taken for quick jitter: so only
-        # where one angle by itself is as loud as rows can tell, up to half their rate, which is its noise
+    hidden_modes = staged and any(one.hidden for one in (roll, pitch, yaw))
+    if hidden_modes:
         quick = 0.5 / max(float(np.median(np.diff(np.unique(d.t)))) for d in differences)
         together &= any(_broadband(spectra[axis]).corner > quick for axis in (ROLL, YAW))
     if together:
@@ -602,7 +600,7 @@ def fit_prior_model(
         evidence = TiedEvidence.of(stars, post_px, estimate, ORDER)
         begins = [spectra, *([] if start is None else _of_one_kind(start.spectra, spectra))]
         tied = [ROLL, YAW] if own[PITCH] > OWN else [ROLL, PITCH, YAW]
-        spectra = fit_tied(evidence, begins, tied, usual, max(settled, TIED_SETTLED), louder=not staged)
+        spectra = fit_tied(evidence, begins, tied, usual, max(settled, TIED_SETTLED), louder=not hidden_modes)
     scales = [
         one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
         for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
