@@ -512,7 +512,8 @@ def _searched(
     step = steps_of(tell, f"first pass: searching within {lines} lines and {columns} columns")
     farther = _match(strip, nodes, statics, replace(plan, search_px=(lines, columns)), step=step)
     more = _share_kept(farther) / max(_share_kept(records), 1e-9)
-    found = lost & ~like_none(farther, len(strip.bands))
+    # among so many places a quarter of the windows matches by chance: half of them do not
+    found = lost & ~like_none(farther, len(strip.bands), ENOUGH_KEPT)
     better = more > MORE_KEPT or (found.any() and more > 1.0)
     return strip, farther if better else records, (lines, columns)
 

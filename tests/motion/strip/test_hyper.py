@@ -690,3 +690,20 @@ def test_modes_that_stages_average_away_are_looked_for_at_half_the_resolution():
     assert np.median(steps) == pytest.approx(0.5)
     assert_allclose(f * length, 0.5 * np.round(2.0 * f * length), atol=1e-6)
     assert hidden._averaged_away(estimate, (0.0, 0.6), ())[2].size == 0
+
+
+def test_rows_that_share_lines_are_thinned_to_rows_apart_as_good_as_all_they_stand_for():
+    star = plain_star(10, 5, 2, duration=0.0)
+    spacing = float(star.t_hub[5] - star.t_hub[0])
+    overlapping = replace(star, duration=3.0 * spacing, field=np.arange(50.0))
+    post = np.arange(200.0).reshape(50, 2, 2)
+    (thin, alone), (left, untouched) = hyper._rows_apart([overlapping, star], [post, post])
+    kept = np.concatenate([np.arange(15 * k, 15 * k + 5) for k in range(4)])
+    assert thin.shape == (4, 5)
+    assert_allclose(thin.field, kept)
+    assert_allclose(thin.t_hub, star.t_hub[kept])
+    assert_allclose(left, post[kept])
+    # means over the strip are known as well as before: a third of the rows, each of a third of the variance
+    assert_allclose(thin.correlation, star.correlation / 3.0)
+    assert alone.shape == star.shape and untouched is post
+    assert_allclose(alone.correlation, star.correlation)

@@ -177,7 +177,7 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
         return np.asarray(total / np.maximum(both, 1.0)), float(np.diag(both)[told].sum())
 
     plain, products = covariance(0)
-    long, chance = _long_run(plain, covariance, counted / products, _overlapping(star))
+    long, chance = _long_run(plain, covariance, counted / products, overlapping(star))
     usual = np.sqrt(np.diag(plain)[told].reshape(-1, 2).mean(axis=0))
     share = np.where(told, 1.0, np.sqrt(own / (own + START_COUNTS)))
     given = start * np.outer(np.tile(usual, pairs), np.tile(usual, pairs))
@@ -196,7 +196,7 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     return _definite(total, scale)
 
 
-def _overlapping(star: Star) -> int:
+def overlapping(star: Star) -> int:
     """Later rows with which the windows of a row share lines."""
     starts = star.t_hub.reshape(star.shape)[:, 0]
     apart = float(np.median(np.diff(starts))) if len(starts) > 1 else 0.0
@@ -274,7 +274,7 @@ def lasts(star: Star, post_px: Array) -> bool:
     rows that share pixels.
     """
     rows, blocks = star.shape
-    apart = _overlapping(star)
+    apart = overlapping(star)
     if blocks < LEAST_BESIDE or rows - apart < LEAST_BESIDE * (ROW_LAGS + 1):
         return False
     z = np.clip(scatter(star, post_px).z, -CLIP, CLIP)

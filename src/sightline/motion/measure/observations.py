@@ -147,16 +147,22 @@ class Star:
         return stretches(*self.shape)
 
     def rows(self, some: slice) -> Star:
-        """The star of some rows of windows alone."""
-        blocks = self.shape[1]
-        own = slice(some.start * blocks, some.stop * blocks)
+        """The star of some rows of windows alone, all between two or every so many."""
+        numbers = np.arange(self.shape[0])[some]
         windows: dict[str, Any] = {
-            one.name: value[own]
+            one.name: self.of_rows(value, some)
             for one in fields(self)
             if isinstance(value := getattr(self, one.name), np.ndarray)
             and one.name not in ("correlation", "single", "uneven_at", "brightness_elsewhere")
         }
-        return replace(self, shape=(some.stop - some.start, blocks), **windows)
+        return replace(self, shape=(len(numbers), self.shape[1]), **windows)
+
+    def of_rows(self, values: NDArray[Any], some: slice) -> NDArray[Any]:
+        """What windows (G, ...) have, of some rows of them."""
+        if some.step in (None, 1):
+            return values[some.start * self.shape[1] : some.stop * self.shape[1]]
+        found = values.reshape(*self.shape, *values.shape[1:])[some]
+        return found.reshape(len(found) * self.shape[1], *values.shape[1:])
 
     def each(self, function: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
         """What a function of `arrays` (G, ...) gives window by window, as a scratch array."""

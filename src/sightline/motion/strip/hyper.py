@@ -25,6 +25,7 @@ from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
 from sightline.motion.estimators.differences import PITCH, ROLL, YAW, AngleDifferences
+from sightline.motion.measure.match_noise import overlapping
 from sightline.motion.measure.observations import Star
 from sightline.motion.observability import blind_together
 from sightline.motion.strip.joint import JointEstimate
@@ -597,7 +598,7 @@ def fit_prior_model(
     if together:
         if across is not None:
             usual[YAW] = across
-        evidence = TiedEvidence.of(stars, post_px, estimate, ORDER)
+        evidence = TiedEvidence.of(*_rows_apart(stars, post_px), estimate, ORDER)
         begins = [spectra, *([] if start is None else _of_one_kind(start.spectra, spectra))]
         tied = [ROLL, YAW] if own[PITCH] > OWN else [ROLL, PITCH, YAW]
         spectra = fit_tied(evidence, begins, tied, usual, max(settled, TIED_SETTLED), louder=not hidden_modes)
@@ -621,6 +622,22 @@ def fit_prior_model(
         blind,
     )
     return model.with_turns(length, drift_alone=across is not None)
+
+
+def _rows_apart(stars: Sequence[Star], post_px: Sequence[Array]) -> tuple[list[Star], list[Array]]:
+    """The stars, and their residuals, by rows of windows that share no lines, each in place of all it shares.
+
+    Errors of rows that share pixels are as large in the long run as the stars' correlations say, and far less
+    from row to row: taken for white noise as large, they would speak against any quick jitter.
+    """
+    apart, residuals = [], []
+    for star, post in zip(stars, post_px, strict=True):
+        each = overlapping(star) + 1
+        some = slice(0, star.shape[0], each)
+        thinned = star if each == 1 else star.rows(some)
+        apart.append(thinned.with_correlation(star.correlation / each))
+        residuals.append(post if each == 1 else star.of_rows(post, some))
+    return apart, residuals
 
 
 def _of_one_kind(before: Sequence[Spectrum], spectra: Sequence[Spectrum]) -> list[Sequence[Spectrum]]:
