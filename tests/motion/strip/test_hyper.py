@@ -433,13 +433,13 @@ def test_what_moves_where_all_pairs_are_blind_may_be_of_each_axis() -> None:
     def functional_covariance(_, weights):
         return 0.02**2 * np.einsum("nak,nal->kl", weights, weights)
 
-    def modes(*lags, moves=0.0, tones=((50.0, 0.2),), pixel=(1.0, 1.0, 1.0)):
+    def modes(*lags, moves=0.0, tones=((50.0, 0.2),), pixel=(1.0, 1.0, 1.0), shown_by=(0,)):
         moved = nodes + np.outer(moves * np.sin(2 * np.pi * 53.2 * grid.nodes), [0.0, 0.0, 1.0])
         estimate = SimpleNamespace(grid=grid, nodes=moved, functional_covariance=functional_covariance)
         t = np.linspace(0.0, 0.7 - max(lags), 150)
         differences = [SimpleNamespace(t=t, lag=np.full(150, lag)) for lag in lags]
-        roll = Spectrum((*BROAD.spectra[0].components, *(Tone(size, f, 0.1) for f, size in tones)))
-        found = (roll, BROAD.spectra[1], BROAD.spectra[2])
+        shown = Spectrum((*BROAD.spectra[0].components, *(Tone(size, f, 0.1) for f, size in tones)))
+        found = [shown if axis in shown_by else BROAD.spectra[axis] for axis in range(3)]
         return _blind_modes(found, differences, estimate, np.array(pixel), 0.7)  # type: ignore[arg-type]
 
     # a tone of yaw of 0.02 is ten times that: of each axis one of half the variance of that of 50 Hz,
@@ -460,6 +460,8 @@ def test_what_moves_where_all_pairs_are_blind_may_be_of_each_axis() -> None:
         for one in modes(0.0375, 0.075, tones=((f, 0.2),)):
             assert [tone.frequency for tone in one] == ([pytest.approx(f)] if is_near else [])
     assert modes(0.0375, 0.07, tones=((51.4, 0.2),)) == none
+    # what moves along the lines is pitch: of what it shows by itself it has no more
+    assert [len(one) for one in modes(0.0375, 0.075, tones=((51.4, 0.2),), shown_by=(0, 1))] == [1, 0, 1]
     model = replace(BROAD, blind=each)
     assert [s.components[-1] for s in model.estimated().spectra] == [tone for (tone,) in each]
     assert not model.estimated().estimated().unseen_variance.any()

@@ -698,7 +698,8 @@ def _blind_modes(
     nothing of the other. A tone of such a frequency in the estimate of any axis is taken for a mode
     that may be of each, as large as the strongest that are seen: with the odds of one to one. So is one that
     is found no farther from there than tones are told apart, where it is found on average: what an axis
-    shows of it changes much within what is known of its frequency, and may be another's.
+    shows of it changes much within what is known of its frequency, and may be another's; pitch, which moves
+    bands along the strip as no other does, has no more of it than it shows.
     """
     none: tuple[tuple[Tone, ...], ...] = ((), (), ())
     tones = [(t.frequency, (t.sigma / px) ** 2) for s, px in zip(found, pixel, strict=True) for t in s.tones]
@@ -715,9 +716,15 @@ def _blind_modes(
             some.append(float(np.average(frequency[near], weights=variance[near])))
         elif _moves_at(f, 3 * len(blind), found, differences, estimate, length):
             some.append(f)
+    # nothing but pitch moves bands along the lines of a strip: what it shows there is its own
+    own = [f for f in some if any(abs(t.frequency - f) <= SAME_TONE / length for t in found[PITCH].tones)]
     return tuple(
-        tuple(Tone(px * math.sqrt(0.5 * strength / f**3), f, BLIND_WIDTH / length) for f in some)
-        for px in pixel.tolist()
+        tuple(
+            Tone(px * math.sqrt(0.5 * strength / f**3), f, BLIND_WIDTH / length)
+            for f in some
+            if axis != PITCH or f not in own
+        )
+        for axis, px in enumerate(pixel.tolist())
     )
 
 
