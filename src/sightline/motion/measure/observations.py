@@ -162,7 +162,10 @@ class Star:
         if some.step in (None, 1):
             return values[some.start * self.shape[1] : some.stop * self.shape[1]]
         found = values.reshape(*self.shape, *values.shape[1:])[some]
-        return found.reshape(len(found) * self.shape[1], *values.shape[1:])
+        out = scratch_array(found.shape, values.dtype)
+        out[...] = found
+        let_go()
+        return out.reshape(len(found) * self.shape[1], *values.shape[1:])
 
     def each(self, function: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
         """What a function of `arrays` (G, ...) gives window by window, as a scratch array."""
