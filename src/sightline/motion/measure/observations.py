@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.motion.measure.windows import stretches
-from sightline.writing import let_go, scratch_array
+from sightline.writing import let_go, scratch_array, scratch_copy
 
 Array = NDArray[np.float64]
 
@@ -161,11 +161,9 @@ class Star:
         """What windows (G, ...) have, of some rows of them."""
         if some.step in (None, 1):
             return values[some.start * self.shape[1] : some.stop * self.shape[1]]
-        found = values.reshape(*self.shape, *values.shape[1:])[some]
-        out = scratch_array(found.shape, values.dtype)
-        out[...] = found
+        found = scratch_copy(values.reshape(*self.shape, *values.shape[1:])[some])
         let_go()
-        return out.reshape(len(found) * self.shape[1], *values.shape[1:])
+        return found.reshape(len(found) * self.shape[1], *values.shape[1:])
 
     def each(self, function: Callable[..., NDArray[Any]], *arrays: NDArray[Any]) -> NDArray[Any]:
         """What a function of `arrays` (G, ...) gives window by window, as a scratch array."""

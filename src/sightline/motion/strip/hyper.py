@@ -633,10 +633,12 @@ def _rows_apart(stars: Sequence[Star], post_px: Sequence[Array]) -> tuple[list[S
     apart, residuals = [], []
     for star, post in zip(stars, post_px, strict=True):
         each = overlapping(star) + 1
-        some = slice(0, star.shape[0], each)
-        thinned = star if each == 1 else star.rows(some)
-        apart.append(thinned.with_correlation(star.correlation / each))
-        residuals.append(post if each == 1 else star.of_rows(post, some))
+        if each > 1:
+            some = slice(0, star.shape[0], each)
+            post = star.of_rows(post, some)
+            star = star.rows(some).with_correlation(star.correlation / each)
+        apart.append(star)
+        residuals.append(post)
     return apart, residuals
 
 
@@ -716,15 +718,12 @@ def _blind_modes(
             some.append(float(np.average(frequency[near], weights=variance[near])))
         elif _moves_at(f, 3 * len(blind), found, differences, estimate, length):
             some.append(f)
-    # nothing but pitch moves bands along the lines of a strip: what it shows there is its own
-    own = [f for f in some if any(abs(t.frequency - f) <= SAME_TONE / length for t in found[PITCH].tones)]
+    # nothing but pitch moves bands along the strip: what it shows there is its own
+    own = [tone.frequency for tone in found[PITCH].tones]
+    unshown = [f for f in some if all(abs(f - shown) > SAME_TONE / length for shown in own)]
     return tuple(
-        tuple(
-            Tone(px * math.sqrt(0.5 * strength / f**3), f, BLIND_WIDTH / length)
-            for f in some
-            if axis != PITCH or f not in own
-        )
-        for axis, px in enumerate(pixel.tolist())
+        tuple(Tone(px * math.sqrt(0.5 * strength / f**3), f, BLIND_WIDTH / length) for f in possible)
+        for px, possible in zip(pixel.tolist(), (some, unshown, some), strict=True)
     )
 
 
