@@ -60,6 +60,24 @@ def test_a_recovery_scores_well_against_its_truth(recovery, capsys):
         assert abs(score[axis]["nees"] - 1.0) < spread, score[axis]
 
 
+def test_a_truth_in_degrees_or_that_is_the_result_itself_is_doubted(recovery, tmp_path, capsys):
+    head, *rows = (recovery.scene / "truth.csv").read_text().splitlines()
+    wrong = tmp_path / "truth.csv"
+    for unit, per_rad in (("degrees", 180.0 / math.pi), ("urad", 1e6)):
+        values = [[float(x) for x in row.split(",")] for row in rows]
+        wrong.write_text(
+            "\n".join([head, *(f"{t},{r * per_rad},{p * per_rad},{y * per_rad}" for t, r, p, y in values)])
+        )
+        assert run(["score", str(recovery.folder), str(wrong)]) == 0
+        said = capsys.readouterr()
+        assert json.loads(said.out)["roll"]["nees"] > 100.0  # the score is given all the same
+        assert said.err.startswith(WARNING) and f"as if in {unit}; give roll, pitch, yaw in rad" in said.err
+    assert run(["score", str(recovery.folder), str(recovery.folder / "motion.csv")]) == 0
+    assert "the same angles as the result's" in capsys.readouterr().err
+    assert run(["score", str(recovery.folder), str(recovery.scene / "truth.csv")]) == 0
+    assert capsys.readouterr().err == ""
+
+
 @pytest.fixture(scope="module")
 def short(tmp_path_factory) -> Path:
     """Two bands a small lag apart, of which a recovery of three passes after the first takes little."""

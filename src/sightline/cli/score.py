@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sightline.cli.options import AllowNetwork
+
+if TYPE_CHECKING:
+    from sightline.io.formats.tables import MotionTable
 
 
 def score(
@@ -62,6 +66,7 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     Of a motion, hidden directions and pixel size are as its summary says; without a ``summary.json`` a
     constant per axis is hidden and errors are in urad.
     """
+    from sightline.cli.terminal import complain
     from sightline.errors import FormatError
     from sightline.evaluation.score import score_motion
     from sightline.io.formats.tables import read_motion
@@ -92,7 +97,7 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     summary = read_summary(result)
     hidden = read_hidden(result, summary, len(motion.t))
     directions, names = hidden if hidden is not None else (None, None)
-    return score_motion(
+    scored = score_motion(
         motion.t,
         motion.angles,
         motion.sigma,
@@ -103,3 +108,32 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
         absolute_sigma=motion.sigma_absolute,
         **pixel_scale(result, summary),
     ).as_dict()
+    for doubt in _doubts(motion, true, truth):
+        complain("warning", doubt)
+    return scored
+
+
+#: rad in other units of angle that a truth may be in by mistake.
+_PER_RAD = {"degrees": 180.0 / math.pi, "arcsec": 648000.0 / math.pi, "mrad": 1e3, "urad": 1e6}
+
+
+def _doubts(found: MotionTable, true: MotionTable, truth: Path) -> list[str]:
+    """What speaks against a table as the truth of a motion: it is the motion itself, or not in rad."""
+    import numpy as np
+
+    known = np.stack([np.interp(found.t, true.t, angles) for angles in true.angles.T], axis=1)
+    if np.array_equal(known, found.angles):
+        return [
+            f"{truth}: the same angles as the result's, so that no error is told; the truth is what the "
+            "images were made with (`simulate` writes truth.csv)"
+        ]
+    about, other = (angles - angles.mean(axis=0) for angles in (found.angles, known))
+    square, both = float((about**2).sum()), float((about * other).sum())
+    # alike in shape, as a motion that was found and its truth in another unit are, and not by chance
+    if both**2 < 0.8 * square * float((other**2).sum()) or square == 0.0:
+        return []
+    return [
+        f"{truth}: angles {per_rad:.6g} times the result's, as if in {unit}; give roll, pitch, yaw in rad"
+        for unit, per_rad in _PER_RAD.items()
+        if abs(both / (square * per_rad) - 1.0) < 0.2
+    ]
