@@ -40,6 +40,9 @@ def test_attitude_and_sigma_come_from_the_folder_alone(recovery, tmp_path, capsy
     assert [row["t"] for row in mine] == [row["t"] for row in theirs]
     assert float(mine[7]["qy"]) == pytest.approx(float(theirs[7]["qy"]), abs=1e-12)
     assert "x" not in mine[0] and float(mine[7]["sigma_roll"]) > 0.0
+    # what no image shows is in the attitude, and no other program reads hidden.csv
+    assert all(row["sigma_absolute_pitch"] == "inf" for row in mine)
+    assert "a constant of roll, pitch and yaw, a drift of" in summary["warnings"][0]
 
 
 def test_shifts_need_the_acquisition_and_say_how_much_the_motion_moved(recovery, tmp_path, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from sightline.cli.main import run
 from sightline.products import register_bands
 from sightline.products.register_bands import RegisteredImage
+from sightline.report import register_page
 from sightline.stages import Stages
 
 
@@ -202,3 +204,22 @@ def test_onto_the_folder_of_its_own_images_is_refused_before_anything_is_resampl
     said = capsys.readouterr().err
     assert "was read for the result and would be replaced" in said and "finished stages" not in said
     assert {path.name: path.read_bytes() for path in scene.iterdir()} == before
+
+
+def test_a_pair_that_matched_only_after_registration_is_said_to_fit(registered):
+    summary = json.loads(json.dumps(registered[1]))
+    first = summary["pairs"][0]
+    first["before"]["rms_px"] = [math.nan, math.nan]
+    said = " ".join(register_page.sentences(summary))
+    name = " – ".join(first["images"])
+    assert f"Too few windows matched then to say it of {name}." in said and "how well these fit" not in said
+    first["after"]["rms_px"] = [math.nan, math.nan]
+    said = " ".join(register_page.sentences(summary))
+    assert f"Too few windows match to say how well these fit: {name}." in said
+
+
+def test_a_band_that_is_named_after_a_hue_is_drawn_in_it():
+    hues = ("red", "green", "blue")
+    assert register_page._in_own_hues([0, 1, 2], ["PAN", "Blue", "green"], hues) == [0, 2, 1]
+    assert register_page._in_own_hues([4, 2, 3], ["a", "b", "c"], hues) == [4, 2, 3]
+    assert register_page._in_own_hues([1, 3], ["green", "red"], ("red", "cyan")) == [3, 1]

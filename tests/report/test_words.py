@@ -55,6 +55,13 @@ def test_without_tones_none_is_claimed(recovery):
     assert "No tone stands out" in " ".join(words.sentences(recovery.result, recovery.summary, []))
 
 
+def test_a_motion_within_its_sigma_is_not_told_from_none(recovery, said):
+    covariance = 1e6 * recovery.result.motion.covariance
+    unknown = replace(recovery.result, motion=replace(recovery.result.motion, covariance=covariance))
+    assert " ".join(words.sentences(unknown, recovery.summary, [])).count("not told from no motion") == 3
+    assert "not told from no motion" not in said
+
+
 def test_a_tone_that_is_hardly_seen_is_reported_as_such_and_how_large_it_may_be(recovery):
     tone = tones_of(recovery.summary["tones"])[0]
     scale = float(recovery.result.scale[0])

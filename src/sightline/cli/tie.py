@@ -24,7 +24,7 @@ def tie(
         Path,
         typer.Argument(
             metavar="FILE.toml",
-            help="An ACQUISITION (\\[[band]] or \\[[frame]]), a STEREO (images) or a SEQUENCE.toml.",
+            help="An ACQUISITION ([\\[band]] or [\\[frame]]), a STEREO (images) or a SEQUENCE.toml.",
         ),
     ],
     reference: Annotated[

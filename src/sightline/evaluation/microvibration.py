@@ -116,7 +116,7 @@ def line_smear(result: LineOfSight) -> Smear:
     """
     period = float(np.median(np.diff(result.motion.t)))
     f = np.linspace(0.0, 0.5 / period, FREQUENCIES)[1:]
-    count = _stages(result)
+    count = most_stages(result)
     if count > 1:
         share = 12.0 * (1.0 - np.sinc(f * count * period) ** 2)
     else:
@@ -126,7 +126,7 @@ def line_smear(result: LineOfSight) -> Smear:
     return Smear(smear_px(result), sigma)
 
 
-def _stages(result: LineOfSight) -> int:
+def most_stages(result: LineOfSight) -> int:
     """Most TDI stages of the first band."""
     camera = result.cameras[0]
     counts = camera.stages if isinstance(camera, PushbroomCamera) else None
@@ -149,7 +149,7 @@ def smear_px(result: LineOfSight) -> Array:
 
     With TDI the length of the even motion that blurs as much as that within the stages does.
     """
-    count = _stages(result)
+    count = most_stages(result)
     if count > 1:
         return _within_stages(result.motion.angles / result.scale, count)
     return np.asarray(np.gradient(result.motion.angles / result.scale, axis=0))

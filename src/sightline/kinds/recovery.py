@@ -42,6 +42,7 @@ from sightline.motion.strip.fusion import SensorUse
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.withheld import WithheldAxis
 from sightline.report.line_of_sight_page import line_of_sight_page
+from sightline.report.words import grouped
 from sightline.result import Result, source_of
 
 
@@ -150,7 +151,9 @@ class Recovery(ResultKind):
     def exported(self, result: LineOfSight, acquisition: Any) -> Exported:
         """The refined attitude; with the acquisition, cameras of a strip that carry what was found."""
         opened, acquisition = folder_and_acquisition(result, acquisition)
-        sigma = result.sigma
+        sigma, absolute = result.sigma, result.absolute_sigma
+        held = [axis for axis, tied in zip(ANGLES, np.isfinite(absolute).all(axis=0), strict=True) if tied]
+        unseen = grouped([name for name in result.hidden_names if not name.endswith(tuple(held))])
         if acquisition is None:
             assert opened is not None
             path = opened.folder / "attitude.csv"
@@ -163,7 +166,7 @@ class Recovery(ResultKind):
             name, epoch = opened.summary.get("name", ""), opened.summary.get("epoch")
             return Exported(
                 str(name), t, quaternions, sigma, epoch if isinstance(epoch, str) else None,
-                _message_frame(opened),
+                _message_frame(opened), absolute_sigma=absolute, unseen=unseen,
             )  # fmt: skip
         bands: tuple[PushbroomCamera, ...] = ()
         if opened is not None:
@@ -184,6 +187,8 @@ class Recovery(ResultKind):
             dict(zip([band.name for band in acquisition.bands], bands, strict=True)),
             folder=None if opened is None else opened.folder,
             files=() if opened is None else tuple(opened.names),
+            absolute_sigma=absolute,
+            unseen=unseen,
         )
 
     def draw(self, result: LineOfSight, axes: Sequence[Any]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from sightline.applications.spin_attitude import SpinAttitude
+from sightline.evaluation.microvibration import most_stages
 from sightline.evaluation.observed import SEEN_TONE_PX, observed
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.tables import MotionTable
@@ -192,8 +193,12 @@ def _microvibration_sections(result: LineOfSight, summary: Mapping[str, Any]) ->
         )
         out.append(Section("tones", "Tones through the strip", [caption, tones]))
     smear = found["smear_px"]
+    stages = most_stages(result)
+    moved = "How far the image moves during one line period"
+    if stages > 1:
+        moved = f"The even motion that blurs as much as what the image moves within its {stages} stages does,"
     caption = (
-        "How far the image moves during one line period beside the nominal scan. It multiplies the MTF at "
+        f"{moved} beside the nominal scan. It multiplies the MTF at "
         f"half a cycle per pixel by {smear['roll']['mtf_at_nyquist']:.4f} across and "
         f"{smear['pitch']['mtf_at_nyquist']:.4f} along, on average over the lines."
     )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.evaluation.microvibration import STEADY, smear_px
+from sightline.evaluation.microvibration import STEADY, most_stages, smear_px
 from sightline.motion.results import LineOfSight
 from sightline.report.figure import Figure
 from sightline.report.marks import DASHES, Between, Line
@@ -48,7 +48,7 @@ def tone_figure(found: Mapping[str, Any]) -> Figure | None:
 
 
 def smear_figure(result: LineOfSight, found: Mapping[str, Any]) -> Figure:
-    """Motion of the image during each line: across (roll), along (pitch), and what yaw adds at the edge.
+    """Motion of the image during each line, or within its stages: by roll, pitch, and yaw at the edge.
 
     Parameters
     ----------
@@ -62,6 +62,6 @@ def smear_figure(result: LineOfSight, found: Mapping[str, Any]) -> Figure:
         words = f"{name} (± {found['smear_px'][AXES[axis]]['sigma']:.2g} px)"
         colour = AXIS_COLOURS[axis]
         figure[axis].add(Line(x=result.motion.t, y=smear[:, axis], name=words, colour=colour, width=1.1))
-        figure[axis].y.title = "motion (px per line)"
+        figure[axis].y.title = "motion (px per line)" if most_stages(result) == 1 else "even motion (px)"
     figure[0].x.title = "time from the epoch (s)"
     return figure

@@ -81,12 +81,10 @@ def register_page(
 
 def sentences(summary: Mapping[str, Any]) -> list[str]:
     """What the numbers say, in words."""
-    sizes = {
-        when: [float(np.hypot(*pair[when][key])) for pair in summary["pairs"]]
-        for when, key in (("before", "rms_px"), ("after", "rms_px"))
-    }
-    noise = [float(np.hypot(*pair["after"]["noise_px"])) for pair in summary["pairs"]]
-    known = np.isfinite(sizes["after"]) & np.isfinite(sizes["before"])
+    pairs = summary["pairs"]
+    sizes = {when: [float(np.hypot(*pair[when]["rms_px"])) for pair in pairs] for when in ("before", "after")}
+    noise = [float(np.hypot(*pair["after"]["noise_px"])) for pair in pairs]
+    known = np.isfinite(sizes["after"])
     given = all(band["placed_by"] == "cameras" for band in summary["bands"])
     by = "by their cameras as given" if given else "with the motion and the band offsets that were recovered"
     if len(summary["bands"]) == 1:
@@ -97,22 +95,33 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     out = [f"{len(summary['bands'])} bands were resampled onto {summary['onto']}, each once, {by}."]
     if known.any():
         worst = int(np.nanargmax(np.where(known, sizes["after"], np.nan)))
-        label = " and ".join(summary["pairs"][worst]["images"])
+        label = " and ".join(pairs[worst]["images"])
         whose = "pairs of bands" if known.all() else "the pairs of bands that can be matched"
+        lay = ""
+        if np.isfinite(sizes["before"]).any():
+            most = np.nanmax(sizes["before"])
+            lay = f"By the nominal cameras, {whose} lay up to {most:.2f} px apart (rms over the image). "
+            early = [pair for pair, size in zip(pairs, sizes["before"], strict=True) if not np.isfinite(size)]
+            if early:
+                lay += f"Too few windows matched then to say it of {_named(early)}. "
+        who = "they" if lay else whose
         out.append(
-            f"By the nominal cameras, {whose} lay up to {np.nanmax(sizes['before']):.2f} px apart "
-            f"(rms over the image). Now they lie within {sizes['after'][worst]:.3f} px; the worst pair is "
-            f"{label}, of which single matches are good to {noise[worst]:.3f} px."
+            f"{lay}Now {who} lie within {sizes['after'][worst]:.3f} px; the worst pair is {label}, of which "
+            f"single matches are good to {noise[worst]:.3f} px."
         )
-    unknown = [" – ".join(pair["images"]) for pair, ok in zip(summary["pairs"], known, strict=True) if not ok]
+    unknown = [pair for pair, ok in zip(pairs, known, strict=True) if not ok]
     if unknown:
-        out.append(f"Too few windows match to say how well these fit: {', '.join(unknown)}.")
+        out.append(f"Too few windows match to say how well these fit: {_named(unknown)}.")
     alone = [band["name"] for band in summary["bands"] if band["placed_by"] == "motion"]
     if alone:
         out.append(
             f"Placed by the recovered motion alone, their own place never measured: {', '.join(alone)}."
         )
     return out
+
+
+def _named(pairs: Sequence[Mapping[str, Any]]) -> str:
+    return ", ".join(" – ".join(pair["images"]) for pair in pairs)
 
 
 def _pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str, Any]) -> list[Section]:
@@ -125,8 +134,9 @@ def _pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str,
     lines, columns = _busiest_crop(
         fit, [images[k] for images in (written.before, written.after) for k in shown]
     )
-    names = [summary["bands"][k]["name"] for k in shown]
     hues = ("red", "green", "blue") if len(shown) == 3 else ("red", "cyan")
+    shown = _in_own_hues(shown, [summary["bands"][k]["name"] for k in shown], hues)
+    names = [summary["bands"][k]["name"] for k in shown]
     drawn = [
         data_png(colours([_crop(images[k], lines, columns) for k in shown]))
         for images in (written.before, written.after)
@@ -142,6 +152,13 @@ def _pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str,
         (drawn[1], "Colour composite of the registered bands", "After: by the recovered line of sight"),
     ]
     return [Section("pictures", "The same ground in colour, before and after", [caption, pictures(both)])]
+
+
+def _in_own_hues(bands: Sequence[int], names: Sequence[str], hues: Sequence[str]) -> list[int]:
+    """Bands in the order of the hues that they are drawn in: one named after a hue has its own."""
+    own = {hue: band for band, name in zip(bands, names, strict=True) for hue in hues if name.lower() == hue}
+    others = iter(band for band in bands if band not in own.values())
+    return [own[hue] if hue in own else next(others) for hue in hues]
 
 
 def _furthest(before: Sequence[BandFit]) -> BandFit | None:

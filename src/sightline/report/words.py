@@ -248,6 +248,7 @@ def _how_well(result: LineOfSight) -> str:
     sigma = np.median(result.sigma, axis=0) / result.scale
     parts = [
         f"{axis} moved by {digits(motion[k], 3)} {AXIS_UNITS[k]} rms and is known to {digits(sigma[k], 2)} px"
+        + ("" if motion[k] > sigma[k] else ", not told from no motion")
         for k, axis in enumerate(AXES)
     ]
     return _capital("; ".join(parts) + " (1-sigma, median over these instants).")

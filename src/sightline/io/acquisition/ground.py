@@ -42,8 +42,9 @@ DOUBTFUL_STEP_RATIO = 4.0
 #: many, and the motion is recovered over all of the time.
 MOST_LINES_APART = 1_000_000
 _SAMPLING_KEYS = (
-    "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, line_period (s), altitude (m), "
-    'ground_speed (m/s); of tables the positions (m, unless [world] frame = "lonlat") and their t (s)'
+    "ifov (a tangent, pixel pitch / focal length: 1e-6 to 1e-4 of most) or directions, line_period (s), "
+    'altitude (m), ground_speed (m/s); of tables the positions (m, unless [world] frame = "lonlat") and '
+    "their t (s)"
 )
 #: Lines and columns of the grid with which common ground is looked for.
 OVERLAP_GRID = (65, 33)
@@ -232,7 +233,7 @@ def _refuse_wide_field(path: Path, surface: Surface, camera: MovingCamera, name:
     lines, columns = camera.shape
     middle, end = (lines - 1) / 2.0, columns - 1.0
     sides = np.array([[middle, 0.0], [middle, end]])
-    keys = "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, and columns"
+    keys = "ifov (a tangent, pixel pitch / focal length: 1e-6 to 1e-4 of most) or directions, and columns"
     if isinstance(camera, FrameCamera):
         sides = np.array([[0.0, 0.0], [lines - 1.0, end], [0.0, end], [lines - 1.0, 0.0]])
         keys = "focal_length_px, shape and distortion of [camera]"

@@ -52,7 +52,7 @@ from sightline.io.formats.spice_files import (
     write_ck,
     write_jitter_table,
 )
-from sightline.io.formats.tables import write_columns
+from sightline.io.formats.tables import ANGLES, write_columns
 from sightline.io.names import file_stems
 from sightline.io.results.catalog import strip_features, write_geoparquet, write_stac
 from sightline.io.results.line_of_sight import AEM_FRAMES, on_another_body
@@ -115,6 +115,11 @@ class Exported:
         m; of the body that `footprints` are on.
     only : tuple of str
         Forms that there are of such a result; empty: all.
+    absolute_sigma : (N, 3) or None
+        rad; of roll, pitch, yaw with what no image shows, where `sigma` is without it; infinite where nothing
+        ties that.
+    unseen : str
+        What no image shows of the attitude and nothing ties, in words; empty: nothing.
     """
 
     name: str
@@ -133,6 +138,8 @@ class Exported:
     cube: Mapping[str, Any] | None = None
     radii: tuple[float, float] = WGS84
     only: tuple[str, ...] = ()
+    absolute_sigma: Array | None = None
+    unseen: str = ""
 
     def covers(self, to: str) -> tuple[tuple[dict[str, Any], ...], tuple[float, float]]:
         """GeoJSON features of what is covered, and the radii of the body."""
@@ -309,10 +316,22 @@ def write_export(to: str, folder: Path, exported: Exported, kernels: tuple[Path,
         "to": to,
         "files": files,
         **found,
-        "warnings": found.get("warnings", []),
+        "warnings": [*found.get("warnings", []), *([] if to in _NO_ATTITUDE else _unseen(exported))],
         "wall_seconds": time.perf_counter() - begun,
         "inputs": inputs,
     }
+
+
+def _unseen(exported: Exported) -> list[str]:
+    """What of an attitude is not known however small its sigma: other programs do not read hidden.csv."""
+    if not exported.unseen:
+        return []
+    return [
+        f"{exported.unseen} show in no image, and nothing ties them to the ground: of these the attitude "
+        "holds what is nearest to the given one, and sigma_roll, sigma_pitch, sigma_yaw are of the motion "
+        "less these (sigma_absolute_* of motion.csv are inf); an [[attitude_sensor]] or control points tie "
+        "them"
+    ]
 
 
 def _check_needs(to: str, exported: Exported) -> None:
@@ -335,7 +354,10 @@ def _quaternions(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[
         columns |= dict(zip("xyz", exported.position.T, strict=True))
     columns |= dict(zip(("qx", "qy", "qz", "qw"), exported.quat_xyzw.T, strict=True))
     if exported.sigma is not None:
-        columns |= dict(zip(("sigma_roll", "sigma_pitch", "sigma_yaw"), exported.sigma.T, strict=True))
+        columns |= dict(zip((f"sigma_{axis}" for axis in ANGLES), exported.sigma.T, strict=True))
+    if exported.absolute_sigma is not None:
+        names = (f"sigma_absolute_{axis}" for axis in ANGLES)
+        columns |= dict(zip(names, exported.absolute_sigma.T, strict=True))
     exact = dict.fromkeys(("x", "y", "z", "qx", "qy", "qz", "qw"), "%.17g")
     write_columns(folder / "quaternions.csv", columns, exact)
     return {"rows": len(exported.t), "axes": "world_from_body, scalar last"}
@@ -771,6 +793,8 @@ WITH_KERNELS: tuple[str, ...] = ("ck", "isis")
 #: Forms for catalogues: what is covered, and when.
 OF_PLACE: tuple[str, ...] = ("stac", "geoparquet")
 #: What each form needs of a result besides kernels, which only those have who ask for theirs.
+#: Forms without an attitude.
+_NO_ATTITUDE = ("oem", "stac", "geoparquet")
 _NEEDS: dict[str, tuple[Callable[[Exported, str], object], ...]] = {
     "csm": (Exported.needs_body, Exported.needs_et),
     "isd": (Exported.needs_body, Exported.needs_et),

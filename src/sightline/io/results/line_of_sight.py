@@ -61,6 +61,8 @@ RESULT_FILES = (
 )  # fmt: skip
 #: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
 HIGHEST_FREQUENCY = 0.25
+#: From this probability of chance on a peak is not spoken of.
+MERE_CHANCE = 0.5
 #: Names of the world axes in CCSDS messages.
 AEM_FRAMES = {"earth-fixed": "ITRF", "local": "LOCAL_ENU"}
 #: Frequencies at which visibility is evaluated for the ends of the passbands.
@@ -222,7 +224,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "passbands": bands,
         "blind_frequencies": {_name(result.image_names, pair): list(f) for pair, f in seen.blind.items()},
         "tones": _by_axis(tones.found),
-        "tones_hardly_seen": _by_axis(tones.hardly_seen),
+        "tones_hardly_seen": _by_axis([t for t in tones.hardly_seen if t.false_alarm < MERE_CHANCE]),
         "microvibration": microvibration_summary(result, tones.found, bands) if strip else None,
         "rms_motion": _per_axis(np.sqrt((visible**2).mean(axis=0))),
         "rms_motion_px": _per_axis(np.sqrt((in_px**2).mean(axis=0))),
