@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 #: Degrees of the Legendre polynomials of a bent line; those below are its offset, rotation and scale. Lenses
 #: bend lines in the second, their distortion stretches them in the third, and both go on in fourth and fifth.
 BEND_DEGREES = (2, 3, 4, 5)
-#: What the offset of a band along the track is called.
-ALONG = "offset along"
+#: What the offsets of a band along and across the track are called.
+ALONG, ACROSS = "offset along", "offset across"
 #: Columns within which steps of a line and of its measure are seen as one.
 ONE_STEP = 16
 
@@ -54,7 +54,7 @@ def band_statics(bands: Sequence[Band], *, alone: bool = False) -> list[StaticPa
     for image, band in enumerate(bands):
         known = [
             (ALONG, "line_px", "px", band.offset_sigma_px, 0.1),
-            ("offset across", "column_px", "px", band.offset_sigma_px, 0.1),
+            (ACROSS, "column_px", "px", band.offset_sigma_px, 0.1),
             ("rotation", "rotation", "rad", band.rotation_sigma, 1e-4),
             ("scale", "scale", "", band.scale_sigma if image or alone else 0.0, 1e-4),
         ]

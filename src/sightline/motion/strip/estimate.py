@@ -230,7 +230,8 @@ def solve_strip(
         wander = None if slow is None else slow.precision
         ample = replace(ample_prior, relief=prior.relief, apart=alike_apart, slow_precision=wander)
         ties = tie(rows, grid, data.block) if rows else None
-        found = solve_joint(data, replace(prior, apart=apart, ample=ample, slow_precision=wander), ties)
+        more = replace(prior, apart=apart, ample=ample, slow_precision=wander, common=strip.common_offsets)
+        found = solve_joint(data, more, ties)
         clear = measured
         if slow is not None:
             errors = [slow.moved(s, t, found.slow) for s, t in zip(stars, t_ground, strict=True)]

@@ -93,6 +93,11 @@ class JointPrior:
         memory is too short to know its size; 0 adds none, nor does a prior whose drifts are apart.
     even : bool
         Whether even drifts are free beside `angles` too, and not held alone.
+    common : (Q, K) or None
+        Directions of the static parameters that move all images alike, as a constant turn of the body does.
+        No image shows how much there is of them: where nothing else ties it, it stays as believed.
+    unshown : (Q, Q) or None
+        What the equations say of `common` that is no information, less than nothing (`kept_common`).
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -107,6 +112,8 @@ class JointPrior:
     ample: JointPrior | None = None
     curve_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     even: bool = False
+    common: Array | None = None
+    unshown: Array | None = None
 
     @property
     def _curved(self) -> list[int]:
@@ -144,7 +151,21 @@ class JointPrior:
     def border_precision(self) -> Array:
         """Of static parameters, errors that wander, sensors' constants: (Q + E + S, Q + E + S)."""
         more = [p for p in (self.slow_precision, self.own_precision) if p is not None]
-        return np.asarray(block_diag(np.diag(1.0 / self.statics_sigma**2), *more))
+        statics = np.diag(1.0 / self.statics_sigma**2)
+        if self.unshown is not None:
+            statics = statics - self.unshown
+        return np.asarray(block_diag(statics, *more))
+
+    def common_parts(self) -> tuple[Array, Array]:
+        """Weights (Q, K) of static parameters whose sums are how much of `common` they hold; its covariance.
+
+        What is left beside it is as likely beforehand as may be.
+        """
+        none = np.zeros((len(self.statics_sigma), 0))
+        directions = none if self.common is None else self.common
+        weights = directions / self.statics_sigma[:, None] ** 2
+        variance = np.linalg.inv(directions.T @ weights)
+        return weights @ variance, np.asarray(variance)
 
     def layout(self, count: int, block: int) -> Layout | None:
         """Where the unknowns of the grid stand between coarse nodes; None where there are none."""
@@ -714,7 +735,13 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     if ties is not None:
         data = add_ties(images, ties)
         prior = replace(prior, own_precision=ties.own_precision).loosened(ties.tied)
-    factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
+    banded = _banded_factor(data, prior)
+    factor = _factor(banded, data, prior, constants=True)
+    if ties is None and prior.common is not None:
+        prior = kept_common(factor, prior)
+        factor = _factor(banded, data, prior, constants=True)
+    elif prior.common is not None:
+        prior = replace(prior, common=None)
     statics = len(prior.statics_sigma)
     beside = statics + (0 if prior.slow_precision is None else len(prior.slow_precision))
     free = len(prior.free_sigma)
@@ -740,6 +767,19 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     )
 
 
+def kept_common(factor: Factor, prior: JointPrior) -> JointPrior:
+    """The prior under which the equations say nothing of what moves all images alike.
+
+    Bands that all look a little further ahead, and a roll with as much more of the yaw in it, leave all
+    images as they are. All that speaks of it is that roll and yaw would be independent of each other: the
+    equations take errors of the same matches in both for motions, and may be wrong by several sigmas.
+    """
+    weights, variance = prior.common_parts()
+    q = len(weights)
+    told = np.linalg.inv(weights.T @ factor.border_covariance[:q, :q] @ weights) - np.linalg.inv(variance)
+    return replace(prior, unshown=weights @ told @ weights.T)
+
+
 def _held(
     factor: Factor, data: NormalEquations, prior: JointPrior, x: Array, y: Array
 ) -> tuple[Array, Array]:
@@ -759,14 +799,19 @@ def _held(
     """
     block, count = data.block, data.grid.count
     axes = [axis for axis in range(3) if prior.constant_sigma[axis] < TIED_SIGMA]
-    shapes = mean_and_drift(count)
-    seen = np.zeros((block * count, 2 * len(axes)))
+    shapes, (common, _) = mean_and_drift(count), prior.common_parts()
+    many = 2 * len(axes)
+    seen, beside = (
+        np.zeros((block * count, many + common.shape[1])),
+        np.zeros((factor.q, many + common.shape[1])),
+    )
     for k, axis in enumerate(axes):
         seen[axis::block, 2 * k : 2 * k + 2] = shapes
-    top, bottom = factor.times(seen)
-    sigmas = [(prior.constant_sigma[axis], prior.drift_sigma[axis]) for axis in axes]
-    held = np.diag(np.square(np.array(sigmas).ravel()))
-    gain = np.linalg.solve(seen.T @ top + held, seen.T @ x)
+    beside[: len(common), many:] = common
+    top, bottom = factor.solve(seen, beside)
+    sigmas = [s for axis in axes for s in (prior.constant_sigma[axis], prior.drift_sigma[axis])]
+    held = np.diag(np.square(np.concatenate([sigmas, np.zeros(common.shape[1])])))
+    gain = np.linalg.solve(seen.T @ top + beside.T @ bottom + held, seen.T @ x + beside.T @ y)
     return x - top @ gain, y - bottom @ gain
 
 

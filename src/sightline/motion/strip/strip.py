@@ -33,7 +33,7 @@ from sightline.motion.measure.plan import (
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.measure.windows import exposure_times
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
-from sightline.motion.statics import apply_statics, band_statics
+from sightline.motion.statics import ACROSS, ALONG, apply_statics, band_statics
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.viewing_axes import in_axes, turned_spectra, viewing_axes
@@ -207,6 +207,20 @@ class Strip:
     def scale(self) -> Array:
         """(3,) rad; one pixel of roll, of pitch, and of yaw at the edge of the field."""
         return np.array([self.pixel_angle, self.pixel_angle, self.pixel_angle / self.half_field])
+
+    @property
+    def common_offsets(self) -> Array | None:
+        """(Q, 2): static parameters by which all bands look a pixel of the first further along, or across.
+
+        None where the offset of a band is exact: those of the others are from it.
+        """
+        names = (ALONG, ACROSS)
+        out = np.zeros((len(self.parameters), len(names)))
+        for k, one in enumerate(self.parameters):
+            for axis, name in enumerate(names):
+                if one.name == f"{self.bands[one.images[0]].name} {name}":
+                    out[k, axis] = self.pixel_angle / _field(self.nominal[one.images[0]])[0]
+        return out if (np.count_nonzero(out, axis=0) == len(self.bands)).all() else None
 
     def lines(self) -> NDArray[np.int64]:
         """Lines of the first band, gone on before and after its image from the first exposure of any band to
