@@ -152,7 +152,7 @@ class Recovery(ResultKind):
         """The refined attitude; with the acquisition, cameras of a strip that carry what was found."""
         opened, acquisition = folder_and_acquisition(result, acquisition)
         sigma, absolute = result.sigma, result.absolute_sigma
-        held = [axis for axis, tied in zip(ANGLES, np.isfinite(absolute).T, strict=True) if tied]
+        held = [axis for axis, tied in zip(ANGLES, np.isfinite(absolute).T, strict=True) if tied.all()]
         unseen = grouped([name for name in result.hidden_names if not name.endswith(tuple(held))])
         if acquisition is None:
             assert opened is not None
