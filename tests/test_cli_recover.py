@@ -60,7 +60,7 @@ def test_a_recovery_scores_well_against_its_truth(recovery, capsys):
         assert abs(score[axis]["nees"] - 1.0) < spread, score[axis]
 
 
-def test_a_truth_in_degrees_or_that_is_the_result_itself_is_doubted(recovery, tmp_path, capsys):
+def test_a_truth_in_degrees_or_with_gaps_or_that_is_the_result_itself_is_doubted(recovery, tmp_path, capsys):
     head, *rows = (recovery.scene / "truth.csv").read_text().splitlines()
     wrong = tmp_path / "truth.csv"
     for unit, per_rad in (("degrees", 180.0 / math.pi), ("urad", 1e6)):
@@ -74,6 +74,9 @@ def test_a_truth_in_degrees_or_that_is_the_result_itself_is_doubted(recovery, tm
         assert said.err.startswith(WARNING) and f"as if in {unit}; give roll, pitch, yaw in rad" in said.err
     assert run(["score", str(recovery.folder), str(recovery.folder / "motion.csv")]) == 0
     assert "the same angles as the result's" in capsys.readouterr().err
+    wrong.write_text("\n".join([head, *rows[:40], *rows[60:]]))
+    assert run(["score", str(recovery.folder), str(wrong)]) == 0
+    assert re.search(r"\d+ of the 640 lines .* rows are up to 21 lines apart", capsys.readouterr().err)
     assert run(["score", str(recovery.folder), str(recovery.scene / "truth.csv")]) == 0
     assert capsys.readouterr().err == ""
 

@@ -363,7 +363,7 @@ def joint_line_of_sight(
     result = replace(_result(strip, state, passed, options, draft), withheld=withheld)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state))
     tdi = any(band.camera.stages is not None for band in strip.bands)
-    warnings = (*result.warnings, *warnings, *contradictions(withheld, tdi=tdi))
+    warnings = (*result.warnings, *warnings, *contradictions(withheld, tdi=tdi, sensors=bool(result.sensors)))
     return strip, state, replace(result, differences=differences, warnings=warnings)
 
 

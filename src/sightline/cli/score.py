@@ -115,24 +115,38 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
 
 #: rad in other units of angle that a truth may be in by mistake.
 _PER_RAD = {"degrees": 180.0 / math.pi, "arcsec": 648000.0 / math.pi, "mrad": 1e3, "urad": 1e6}
+#: Lines of a result between two rows of the truth, from which on that is said.
+WIDE_LINES = 4.0
 
 
 def _doubts(found: MotionTable, true: MotionTable, truth: Path) -> list[str]:
-    """What speaks against a table as the truth of a motion: it is the motion itself, or not in rad."""
+    """What speaks against a table as the truth of a motion: gaps, it is the motion itself, or not in rad."""
     import numpy as np
 
+    doubts = []
+    after = np.clip(np.searchsorted(true.t, found.t), 1, len(true.t) - 1) if len(true.t) > 1 else None
+    if after is not None and len(found.t) > 1:
+        apart = (true.t[after] - true.t[after - 1]) / np.median(np.diff(found.t))
+        between = (apart > WIDE_LINES) & (np.abs(found.t - true.t[after]) > 1e-9)
+        if between.any():
+            doubts.append(
+                f"{truth}: {int(between.sum())} of the {len(found.t)} lines of the result lie where its rows "
+                f"are up to {apart[between].max():.0f} lines apart: it is interpolated there, and what moves "
+                "quicker counts as error; give a row for each line"
+            )
     known = np.stack([np.interp(found.t, true.t, angles) for angles in true.angles.T], axis=1)
     if np.array_equal(known, found.angles):
-        return [
+        doubts.append(
             f"{truth}: the same angles as the result's, so that no error is told; the truth is what the "
             "images were made with (`simulate` writes truth.csv)"
-        ]
+        )
+        return doubts
     about, other = (angles - angles.mean(axis=0) for angles in (found.angles, known))
     square, both = float((about**2).sum()), float((about * other).sum())
     # alike in shape, as a motion that was found and its truth in another unit are, and not by chance
     if both**2 < 0.8 * square * float((other**2).sum()) or square == 0.0:
-        return []
-    return [
+        return doubts
+    return doubts + [
         f"{truth}: angles {per_rad:.6g} times the result's, as if in {unit}; give roll, pitch, yaw in rad"
         for unit, per_rad in _PER_RAD.items()
         if abs(both / (square * per_rad) - 1.0) < 0.2

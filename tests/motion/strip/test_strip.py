@@ -54,9 +54,14 @@ def test_rows_follow_a_short_lag(lag, step, window, grid_lines):
     bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
     found = suited(RecoverOptions(), bands, Plane())
     assert (found.step, found.window, found.grid_lines) == (step, (window, WIDTH), grid_lines)
-    # what was asked for stays
-    for asked in (RecoverOptions(step=3), RecoverOptions(asked=("window",)), RecoverOptions(asked=("step",))):
-        assert suited(asked, bands, Plane()) is asked
+    # what was asked for stays; windows that were not are as narrow as the bands ask for all the same
+    asked = RecoverOptions(asked=("window",))
+    assert suited(asked, bands, Plane()) is asked
+    usual = RecoverOptions()
+    for asked in (RecoverOptions(step=3), RecoverOptions(asked=("step",))):
+        kept = suited(asked, bands, Plane())
+        assert (kept.step, kept.grid_lines) == (asked.step, usual.grid_lines)
+        assert kept.window == (usual.window[0], WIDTH) and kept.first_window == (usual.first_window[0], WIDTH)
     first = suited(RecoverOptions(asked=("first_window",)), bands, Plane())
     assert first.first_window == (10, 100) and first.window == found.window
 
@@ -121,8 +126,8 @@ def test_nodes_are_farther_apart_where_a_long_lag_meets_long_lines(lag, wide, ex
     bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
     assert suited(RecoverOptions(), bands, Plane()).grid_lines == pytest.approx(expected, rel=0.02)
     # a node that is asked for stays
-    asked = RecoverOptions(grid_lines=2.5)
-    assert suited(asked, bands, Plane()) is asked
+    kept = suited(RecoverOptions(grid_lines=2.5), bands, Plane())
+    assert (kept.grid_lines, kept.step) == (2.5, RecoverOptions().step)
 
 
 def test_a_long_lag_costs_its_square():

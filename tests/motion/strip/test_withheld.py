@@ -219,6 +219,9 @@ def test_a_pair_that_contradicts_its_prediction_beyond_chance_is_warned_of():
     )
     assert "TDI" not in said
     assert all("TDI stages" in one for one in contradictions([replace(axis, nees=2.6)], tdi=True))
+    assert "do not feel" not in said
+    (said,) = contradictions([replace(axis, nees=2.6)], sensors=True)
+    assert "sensors on the body do not feel" in said
 
 
 def test_windows_that_err_alike_are_worth_fewer():

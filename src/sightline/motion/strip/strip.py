@@ -271,13 +271,15 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
     lines, nodes are as far apart as on these at most: windows of such lines average what lies between.
     """
     usual = RecoverOptions()
-    if any(map(options.own, ("window", "step", "grid_lines"))):
+    if options.own("window"):
         return options
     width = window_columns(bands)
     first = options.first_window
     if not options.own("first_window"):
         first = (first[0], width)
     options = replace(options, first_window=first, window=(usual.window[0], width))
+    if options.own("step") or options.own("grid_lines"):
+        return options
     cameras = [band.camera for band in bands]
     rows = _shortest_lag(cameras, surface) / ROWS_IN_LAG
     if rows >= usual.step:

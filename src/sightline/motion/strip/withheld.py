@@ -97,13 +97,17 @@ class WithheldAxis:
     asked: bool
 
 
-def contradictions(withheld: Sequence[WithheldAxis], *, tdi: bool = False) -> tuple[str, ...]:
+def contradictions(
+    withheld: Sequence[WithheldAxis], *, tdi: bool = False, sensors: bool = False
+) -> tuple[str, ...]:
     """Warnings of left-out pairs that show far more than the sigma of their prediction owns.
 
-    `tdi`: whether bands have TDI stages.
+    `tdi`: whether bands have TDI stages; `sensors`: whether attitude sensors took part.
     """
     said = []
     stages = "motion so large within the TDI stages that it blurs as much as it shifts, " if tdi else ""
+    if sensors:
+        stages += "vibration of the camera that attitude sensors on the body do not feel, "
     for one in withheld:
         chance = float(chdtrc(one.samples, one.nees * one.samples))
         if one.nees >= CONTRADICTED and chance < CONTRADICTION_CHANCE:
