@@ -30,6 +30,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.io.formats.tables import read_motion
 from sightline.matching.matches import KEPT, LOW_SCORE, NO_CONVERGENCE, OUTSIDE
+from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.measure.plan import MatchingPlan
 from sightline.motion.measure.stars import StarRecord, match_star
@@ -434,3 +435,14 @@ def test_a_mode_that_stages_hide_is_found_by_its_blur_in_a_quarter_of_a_second()
         assert_possible(2.0 * axis.nees, 2.0, chance=0.05)
     # three axes together
     assert 0.4 < np.mean([axis.nees for axis in axes]) < 2.5
+
+
+def test_too_few_windows_of_ones_own_choice_are_said_to_be_that():
+    scene = line_of_sight_case("nominal", 1, lines=240, columns=110)
+    for chosen, advice in (
+        (Selection("textured", strength=50.0), "lower `strength`, or leave `select` out"),
+        (Selection("spread", points=6), "raise `points`, or leave `select` out"),
+    ):
+        with pytest.raises(EstimationError, match=f"select = '{chosen.way}' leaves") as error:
+            recover_line_of_sight(scene.as_given(), Plane(0.0), options=RecoverOptions(selection=chosen))
+        assert advice in str(error.value) and "look angles" not in str(error.value)

@@ -140,6 +140,12 @@ ASIDE = 0.95
 #: Fewer matches than these, or first ones than this share of the windows tried, are such as chance keeps: the
 #: prediction is wrong, texture is not what is missing.
 FEWEST_KEPT, MIN_KEPT_SHARE = 20, 0.02
+#: How more windows are chosen, by how they are.
+CHOOSE_MORE = {
+    "textured": "lower `strength`",
+    "spread": "raise `points`",
+    "listed": "name more `features`, of ground that several bands see",
+}
 #: Where fewer windows than half of those tried are kept, or a band looks like none, the first search goes so
 #: many times as far, up to so many px, and counts if it keeps so many times as many, or finds the band.
 FARTHER, FARTHEST, MORE_KEPT = 3, 32, 1.3
@@ -463,6 +469,13 @@ def _first_pass(
     kept, tried = _windows(records)
     if kept < max(FEWEST_KEPT, MIN_KEPT_SHARE * tried):
         _check_for_one_mistake(strip, options, f"{kept} of {tried} windows kept")
+        inside, way = _inside(records), options.selection.way
+        if way != "all" and inside < 2 * FEWEST_KEPT:
+            raise EstimationError(
+                f"[matching] select = {way!r} leaves {inside} windows of bands that lie in both images "
+                f"({_counts(records)}), of which {kept} were kept; {FEWEST_KEPT} are needed: "
+                f"{CHOOSE_MORE[way]}, or leave `select` out"
+            )
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{searched} px of the prediction ({_counts(records)}); check look angles, line times "
@@ -575,10 +588,14 @@ def _windows(records: Sequence[StarRecord]) -> tuple[int, int]:
     return sum(int(r.star.present.sum()) for r in records), tried
 
 
+def _inside(records: Sequence[StarRecord]) -> int:
+    """Windows that were tried and lie in both images."""
+    return sum(int(((r.status != NOT_CHOSEN) & (r.status != OUTSIDE)).sum()) for r in records)
+
+
 def _share_kept(records: Sequence[StarRecord]) -> float:
     """Share of the windows that were tried, and lie in both images, whose matches were kept."""
-    tried = sum(int(((r.status != NOT_CHOSEN) & (r.status != OUTSIDE)).sum()) for r in records)
-    return _windows(records)[0] / max(tried, 1)
+    return _windows(records)[0] / max(_inside(records), 1)
 
 
 def _longest_lost(records: Sequence[StarRecord]) -> float:
