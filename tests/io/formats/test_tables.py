@@ -96,6 +96,17 @@ def test_a_missing_column_is_named_with_the_header_expected(tmp_path):
     assert "column 'x' is missing: the header is 't,lat,lon,h'; expected 't,x,y,z'" in said
 
 
+def test_a_column_that_is_there_twice_is_refused(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("column,stages,stages\n0,4,32\n")
+    for reads in (tables.read_columns, tables.read_long_columns):
+        with pytest.raises(FormatError, match="column 'stages' is there 2 times: the header is"):
+            reads(path, ("column", "stages"))
+    # one that nobody asks for may be there as often as it likes
+    path.write_text("column,note,note\n0,4,32\n")
+    assert tables.read_columns(path, ("column",))["column"].tolist() == [0.0]
+
+
 def test_a_word_in_place_of_a_number_names_line_and_column(tmp_path):
     said = message(tables.read_positions, csv(tmp_path, "t,x,y,z\n0,1,2,3\n1,4,five,6\n"))
     assert "table.csv: line 3, column 'y': 'five' is not a number" in said

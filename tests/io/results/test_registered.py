@@ -9,6 +9,7 @@ from rasterio.transform import Affine
 
 from sightline.io.formats.images import open_image
 from sightline.io.results.registered import MapGrid, as_type, write_registered
+from sightline.io.results.registration import _clipped
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 SHAPE = (700, 560)
@@ -30,7 +31,7 @@ def blocks(images, height=256):
 def written(tmp_path, images, dtypes, stack=False, tags=None):
     names = [["a", "b"]] if stack else [["a"], ["b"]]
     paths = [tmp_path / f"{k}.tif" for k in range(len(names))]
-    share = write_registered(
+    share, _ = write_registered(
         paths, names, blocks(images), MapGrid(SHAPE, tags or {}), [np.dtype(d) for d in dtypes]
     )
     return paths, share
@@ -45,6 +46,17 @@ def test_integers_are_rounded_and_their_gaps_masked(tmp_path, images):
     np.testing.assert_array_equal(source.read(*window)[~gap], np.rint(images[1][~gap]))
     assert share == pytest.approx([1.0, 1.0 - gap.mean()])
     assert open_image(paths[0]).mask(*window) is None
+
+
+def test_values_beyond_the_range_of_a_type_are_counted(tmp_path, images):
+    paths, names = [tmp_path / "a.tif", tmp_path / "b.tif"], [["a"], ["b"]]
+    types = [np.dtype("uint8"), np.dtype("float32")]
+    valid, clipped = write_registered(paths, names, blocks(images), MapGrid(SHAPE, {}), types)
+    # values are even from 100 to 4000
+    assert clipped == pytest.approx([(images[0] > 255.5).mean(), 0.0]) and clipped[0] > 0.9
+    assert valid[0] == 1.0
+    (said,) = _clipped([{"name": "a", "type": "uint8"}, {"name": "b", "type": "float32"}], clipped)
+    assert said.startswith("96 % of a is beyond the range of uint8") and "--type" in said
 
 
 def test_floats_keep_their_values_and_gaps_are_nan(tmp_path, images):

@@ -148,7 +148,13 @@ def read_columns(
 
 
 def _check_header(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
-    """FormatError where a column is missing; another sign than the comma between names is recognised."""
+    """FormatError where a column is missing, or there twice; another sign between names is recognised."""
+    twice = [name for name in columns if header.count(name) > 1]
+    if twice:
+        raise FormatError(
+            f"{path}: column {twice[0]!r} is there {header.count(twice[0])} times: the header is "
+            f"{shown(','.join(header))}; keep the one that is meant"
+        )
     missing = [name for name in columns if name not in header]
     if missing:
         other = next((sign for sign in (";", "\t", "|") if sign in header[0]), "")
@@ -199,7 +205,7 @@ def read_long_columns(
     names = [*columns, *(name for name in optional if name in header)]
     lines = [line for _, line in rows[1:]]
     commas = len(header) - 1
-    plain = all(name in header for name in columns) and len(lines) > 0
+    plain = all(header.count(name) == 1 for name in names) and len(lines) > 0
     if not plain or any(line.count(",") != commas or '"' in line for line in lines):
         return dict(read_columns(path, names, text))
     at = {name: header.index(name) for name in names}

@@ -90,6 +90,8 @@ class Written:
         All bands on the grid, by the nominal cameras and as written.
     valid : tuple of float
         Share of the pixels of each band that have a value.
+    clipped : tuple of float
+        Share of these that their type cannot hold: they are at the end of its range.
     dtypes : tuple of str
         Types of the pixels of each band.
     """
@@ -98,6 +100,7 @@ class Written:
     before: tuple[ImageSource, ...]
     after: tuple[ImageSource, ...]
     valid: tuple[float, ...]
+    clipped: tuple[float, ...]
     dtypes: tuple[str, ...]
 
 
@@ -138,7 +141,7 @@ def write_products(
     size = sum(len(part) * dtype.itemsize for part, dtype in zip(parts, dtypes, strict=True))
     kept = stages if stages is not None and _room_for_stages(folder, stages, registration, size) else Stages()
     reference, grid = registration.reference, grid_of(acquisition, registration.reference)
-    valid = write_registered(
+    valid, clipped = write_registered(
         [folder / file for file in files],
         [[names[k] for k in part] for part in parts],
         counted_lines(kept_lines(registration.after, reference, kept, "after"), grid.shape[0], step),
@@ -153,7 +156,7 @@ def write_products(
     try:
         before = _stored(draft, registration, step, kept)
         types = tuple(dtypes[n].name for n, part in enumerate(parts) for _ in part)
-        yield Written(tuple(files), before, after, tuple(valid), types)
+        yield Written(tuple(files), before, after, tuple(valid), tuple(clipped), types)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 
@@ -237,7 +240,7 @@ def write_registered(
     blocks: Iterator[tuple[int, list[Pixels]]],
     grid: MapGrid,
     dtypes: Sequence[np.dtype[Any]],
-) -> list[float]:
+) -> tuple[list[float], list[float]]:
     """Write images block by block and make them cloud-optimised.
 
     Parameters
@@ -254,8 +257,8 @@ def write_registered(
 
     Returns
     -------
-    list of float
-        Share of the pixels of each image that have a value.
+    valid, clipped : list of float
+        Share of the pixels of each image that have a value; of these, that are beyond the range of its type.
     """
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
@@ -265,7 +268,8 @@ def write_registered(
     size = sum(len(part) * dtype.itemsize for part, dtype in zip(names, dtypes, strict=True)) * pixels_in_all
     for folder in {path.parent for path in paths}:
         must_fit(folder, size, "the registered bands", "ask for smaller pixels by --type,")
-    counts = np.zeros(sum(len(part) for part in names))
+    of_images = [dtype for part, dtype in zip(names, dtypes, strict=True) for _ in part]
+    counts, beyond = np.zeros(len(of_images)), np.zeros(len(of_images))
     with warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
         # an image in sensor geometry has no georeferencing, by nature
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -280,6 +284,7 @@ def write_registered(
                     _describe(target, part, grid)
                 for first, pixels in blocks:
                     counts += [np.isfinite(image).sum() for image in pixels]
+                    beyond += [_beyond(*one) for one in zip(pixels, of_images, strict=True)]
                     done = 0
                     for target, part in zip(targets, names, strict=True):
                         _write_block(target, first, pixels[done : done + len(part)])
@@ -289,7 +294,15 @@ def write_registered(
         finally:
             for draft in drafts:
                 draft.unlink(missing_ok=True)
-    return [float(share) for share in counts / pixels_in_all]
+    return (counts / pixels_in_all).tolist(), (beyond / np.maximum(counts, 1.0)).tolist()
+
+
+def _beyond(pixels: Pixels, dtype: np.dtype[Any]) -> int:
+    """How many pixels are beyond the range of a type, half a step of integers aside."""
+    if dtype.kind == "f":
+        return 0
+    limits = np.iinfo(dtype)
+    return int(((pixels < limits.min - 0.5) | (pixels > limits.max + 0.5)).sum())
 
 
 def _profile(grid: MapGrid, count: int, dtype: np.dtype[Any]) -> dict[str, Any]:

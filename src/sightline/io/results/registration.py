@@ -22,8 +22,8 @@ from sightline.products.register_bands import MASK_SHARE
 from sightline.products.resample import BAND, TAPS
 from sightline.version import VERSION
 
-#: Less of a band than this with a value is worth a warning.
-MOST = 0.5
+#: Less of a band with a value than this is worth a warning, and more of it beyond the range of its type.
+MOST, MOST_CLIPPED = 0.5, 0.05
 
 
 def summarize_registration(
@@ -76,7 +76,7 @@ def summarize_registration(
         "kernel": {"taps": TAPS, "band": BAND, "mask_share": MASK_SHARE, "map_tolerance_px": MAP_TOLERANCE},
         "motion": {key: recovered.summary.get(key) for key in ("name", "version", "reference_image")},
         "inputs": acquisition.input_hashes(),
-        "warnings": _warnings(bands, pairs),
+        "warnings": [*_clipped(bands, written.clipped), *_warnings(bands, pairs)],
         "peak_memory_bytes": peak_memory(),
     }
 
@@ -100,6 +100,16 @@ def _fit(fit: BandFit) -> dict[str, Any]:
         "windows": fit.tried,
         "kept": len(fit.points),
     }
+
+
+def _clipped(bands: Sequence[dict[str, Any]], shares: Sequence[float]) -> list[str]:
+    """Bands whose type does not hold their values: resampling alone goes a little beyond full ones."""
+    return [
+        f"{100.0 * share:.0f} % of {band['name']} is beyond the range of {band['type']} and stays at its "
+        "end; leave --type out, or give float32"
+        for band, share in zip(bands, shares, strict=True)
+        if share > MOST_CLIPPED
+    ]
 
 
 def _warnings(bands: Sequence[dict[str, Any]], pairs: Sequence[dict[str, Any]]) -> list[str]:
