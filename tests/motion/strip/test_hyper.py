@@ -234,6 +234,10 @@ class TestPriorModel:
         assert (tone.sigma, tone.frequency, tone.bandwidth) == pytest.approx((0.6, 83.0, 0.2))
         # of an axis that shares none with another nothing is known
         assert [tone.sigma for tone in _tones_elsewhere((roll, alone, alone), 2, 1.0)] == [9.0, 9.0]
+        # one that has tones, if others, is as large as these: of pitch with tones of .07 and .11 px one of a
+        # yaw (96 Hz, beside a blind frequency) had been 7 px beforehand, sigma of pitch five times too large
+        other = Spectrum((*drift, Tone(0.4, 120.0, 0.1), Tone(0.1, 200.0, 0.1)))
+        assert [tone.sigma for tone in _tones_elsewhere((roll, alone, other), 2, 1.0)] == [0.4, 0.4]
 
     def test_its_processes_have_the_variance_of_their_spectra(self):
         spectra = tuple(Spectrum((Matern(s, 0.05, "3/2"),)) for s in (1.0, 2.0, 3.0))

@@ -656,14 +656,15 @@ def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> li
     What shakes a spacecraft shakes all axes of it. A tone too weak to be found by itself would be owned by
     nobody; where another axis shows it, it may be here too, as large as goes unseen. Where both axes show
     another tone, this one is about as much larger or smaller than there as that; where they share none it
-    may be as large as the drift.
+    may be as large as the largest that is here, and where there is none as the drift.
     """
     own = spectra[axis].tones
+    largest = max((tone.sigma for tone in own), default=_drift(spectra[axis]).sigma)
     out: list[Tone] = []
     shares = {k: _share(own, spectrum.tones, apart) for k, spectrum in enumerate(spectra) if k != axis}
     for other, share in sorted(shares.items(), key=lambda pair: (pair[1] is None, pair[0])):
         for tone in spectra[other].tones:
-            size = _drift(spectra[axis]).sigma if share is None else share * tone.sigma
+            size = largest if share is None else share * tone.sigma
             near = [k for k, one in enumerate(out) if abs(tone.frequency - one.frequency) <= apart]
             if near and share is not None:
                 out[near[0]] = replace(out[near[0]], sigma=max(size, out[near[0]].sigma))
