@@ -97,7 +97,8 @@ class JointPrior:
         Directions of the static parameters that move all images alike, as a constant turn of the body does.
         No image shows how much there is of them: where nothing else ties it, it stays as believed.
     unshown : (Q, Q) or None
-        What the equations say of `common` that is no information, less than nothing (`kept_common`).
+        Information on `common` that the equations claim and no image holds, under just this prior: it is
+        taken off (`kept_common`).
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -257,7 +258,7 @@ class JointEstimate:
     @property
     def prior(self) -> JointPrior:
         """What was believed before the images were looked at."""
-        return self._prior
+        return replace(self._prior, unshown=None)
 
     @cached_property
     def _data(self) -> NormalEquations:
@@ -297,7 +298,7 @@ class JointEstimate:
 
     def likelihood_of(self, relief: tuple[Autoregressive, Autoregressive]) -> float:
         """Logarithm of the likelihood of what was measured, had the ground this relief; plus a constant."""
-        prior = replace(self._prior, relief=relief)
+        prior = replace(self.prior, relief=relief)
         factor = _factor(_banded_factor(self._data, prior), self._data, prior, constants=True)
         beside = _beside(self._data, factor)
         x, y = factor.solve(self._data.rhs, beside)
@@ -411,7 +412,7 @@ class JointEstimate:
     def _completed(self) -> Array:
         """(count, 3, 6) rad: a constant and a drift of each axis, completed to what images see least."""
         data, count = self._images, self.grid.count
-        alone = replace(self._prior, own_precision=None, ample=None)
+        alone = replace(self.prior, own_precision=None, ample=None)
         # what sensors see of a motion does not make it less hidden from the images
         own = self._factor(constants=False) if self.ties is None else joint_factor(data, alone)
         ample = self._prior.ample
@@ -512,7 +513,7 @@ class JointEstimate:
         for k, (shape, axis) in enumerate(own):
             weights[:, axis, k] = shapes[:, shape]
         flat = weights.reshape(-1, len(own))
-        prior = replace(self._prior.ample or self._prior, even=True)
+        prior = replace(self._prior.ample or self.prior, even=True)
         if self.ties is not None:
             prior = replace(prior, own_precision=self._prior.own_precision).loosened(self.ties.tied)
         spread, _ = joint_factor(self._data, prior, constants=True).times(flat)
@@ -731,7 +732,7 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     ties : Ties, optional
         What attitude sensors and control points say. Axes that they tie to the world have a free constant.
     """
-    data = images
+    data, prior = images, replace(prior, unshown=None)
     if ties is not None:
         data = add_ties(images, ties)
         prior = replace(prior, own_precision=ties.own_precision).loosened(ties.tied)
