@@ -735,14 +735,13 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     data, prior = images, replace(prior, unshown=None)
     if ties is not None:
         data = add_ties(images, ties)
-        prior = replace(prior, own_precision=ties.own_precision).loosened(ties.tied)
+        # these see what moves all images alike
+        prior = replace(prior, own_precision=ties.own_precision, common=None).loosened(ties.tied)
     banded = _banded_factor(data, prior)
     factor = _factor(banded, data, prior, constants=True)
-    if ties is None and prior.common is not None:
+    if prior.common is not None:
         prior = kept_common(factor, prior)
         factor = _factor(banded, data, prior, constants=True)
-    elif prior.common is not None:
-        prior = replace(prior, common=None)
     statics = len(prior.statics_sigma)
     beside = statics + (0 if prior.slow_precision is None else len(prior.slow_precision))
     free = len(prior.free_sigma)
@@ -802,10 +801,7 @@ def _held(
     axes = [axis for axis in range(3) if prior.constant_sigma[axis] < TIED_SIGMA]
     shapes, (common, _) = mean_and_drift(count), prior.common_parts()
     many = 2 * len(axes)
-    seen, beside = (
-        np.zeros((block * count, many + common.shape[1])),
-        np.zeros((factor.q, many + common.shape[1])),
-    )
+    seen, beside = (np.zeros((rows, many + common.shape[1])) for rows in (block * count, factor.q))
     for k, axis in enumerate(axes):
         seen[axis::block, 2 * k : 2 * k + 2] = shapes
     beside[: len(common), many:] = common
