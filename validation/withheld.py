@@ -30,20 +30,25 @@ from sightline.simulate.scenarios import line_of_sight_case
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA")) / "s2_l1b_bands"
 #: Of the crops: order of the file's bands, seconds after B02 (or before it, in scenes of the other sign).
-BANDS = {"B02": (1, 0.0), "B03": (2, 0.527), "B04": (3, 1.005)}
+BANDS = {"B02": (1, 0.0), "B03": (2, 0.527), "B04": (3, 1.005), "B08": (4, 0.264)}
+MAIN = ("B02", "B03", "B04")
 SIGNS = {"02": 1.0, "04": -1.0, "06": -1.0, "09": 1.0}
 SPEED, ALTITUDE, PERIOD = 10.0 / 1.5e-3, 786e3, 1.5e-3
 SEEDS = tuple(range(100, 120))
 
 
-def scene_file(scene: str, folder: Path) -> Path:
-    """The acquisition of one crop: level flight, 10 m pixels, nominal lags, offsets to 3 px."""
+def scene_file(scene: str, folder: Path, names: tuple[str, ...] = MAIN, sign: float = 1.0) -> Path:
+    """The acquisition of bands of one crop: level flight, 10 m pixels, nominal lags, offsets to 3 px.
+
+    `sign`: -1 for lags the other way round.
+    """
     text = (
         f'[acquisition]\nname = "scene {scene}"\n[platform]\nkind = "level-flight"\naltitude = {ALTITUDE}\n'
         f"ground_speed = {SPEED}\n[surface]\nheight = 0.0\n"
     )
-    for name, (number, seconds) in BANDS.items():
-        lag = SIGNS[scene] * seconds
+    for name in names:
+        number, seconds = BANDS[name]
+        lag = sign * SIGNS[scene] * seconds
         text += (
             f'[[band]]\nname = "{name}"\nimage = "{DATA / f"{scene}.tif"}"\nimage_band = {number}\n'
             f"columns = 352\nifov = {10.0 / ALTITUDE}\nline_period = {PERIOD}\n"

@@ -138,7 +138,10 @@ def recover_acquisition(
     stages: Stages | None = None,
 ) -> LineOfSight:
     """Recover what an acquisition holds: bands of a strip, or frames of a camera, spinning or not."""
+    from dataclasses import replace
+
     from sightline.applications.frame_attitude import recover_frame_attitude
+    from sightline.applications.lag_sign import wrong_lag_sign
     from sightline.applications.line_of_sight import recover_line_of_sight
     from sightline.errors import InputError
     from sightline.motion.frames.passes import FrameOptions
@@ -188,7 +191,7 @@ def recover_acquisition(
             progress=report,
             stages=stages,
         )
-    return recover_line_of_sight(
+    result = recover_line_of_sight(
         acquired.bands,
         acquired.surface,
         height_sigma=acquired.height_sigma,
@@ -199,3 +202,14 @@ def recover_acquisition(
         progress=report,
         stages=stages,
     )
+    if acquired.sensors or acquired.control_points is not None:
+        return result  # these tell which way the camera moved
+    said = wrong_lag_sign(
+        result,
+        acquired.bands,
+        acquired.surface,
+        height_sigma=acquired.height_sigma,
+        options=options,
+        progress=report,
+    )
+    return replace(result, warnings=(*result.warnings, said)) if said else result

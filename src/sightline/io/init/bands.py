@@ -314,8 +314,8 @@ def _assumed(preset: Preset, sign: int | None) -> tuple[str, ...]:
 
 def _unknown(preset: Preset, sign: int | None) -> tuple[str, ...]:
     lags = (
-        "sign of the lags: staggered detectors look in turn the other way; try --lag-sign - too, the wrong "
-        "sign lays weak bands worse"
+        "sign of the lags: staggered detectors look in turn the other way (--lag-sign -). Three bands on one "
+        "grid fit either way; of four or more `recover` says where the other sign lays the fourth better"
     )
     return (
         *([lags] if sign is None and not preset.signed else []),
