@@ -159,7 +159,7 @@ def of_scene(scene: str) -> float:
     turned = of_crop(scene, sign=-1.0)
     wrong = infrared(scene, recover_line_of_sight(turned.bands, turned.surface), -1.0)
     print(f"scene {scene}: lags the other way round: B08 {in_words(wrong)}", flush=True)
-    less_likely = wrong.deviance - right.deviance
+    less_likely = wrong.less_likely(right)
     gates.check(f"{scene}: deviance of B08 with lags reversed less as they are", less_likely, LIKELIER)
     gates.check(f"{scene}: constants, a priori sigmas", most_prior, 0.0, 3.0, ".2f")
     gates.check(f"{scene}: constants between the grounds, sigmas", most_apart, 0.0, 3.0, ".2f")

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sightline.applications import lag_sign
+from sightline.applications import lag_sign, line_of_sight
 from sightline.applications.lag_sign import with_reversed_lags, wrong_lag_sign
+from sightline.cli.recover import recover_acquisition
 from sightline.geometry.conjugate import predict_match
 from sightline.geometry.surface import Plane
 from sightline.imaging.part import ImageLines
@@ -97,6 +98,41 @@ def test_lags_of_the_wrong_sign_are_told_by_a_fourth_band(bands, said):
 
 def test_nothing_is_said_of_lags_of_the_right_sign(bands, said):
     assert said(bands) == ""
+
+
+def test_errors_of_the_band_itself_are_not_taken_for_the_other_sign(bands, placed, said, monkeypatch):
+    rng = np.random.default_rng(0)
+    clean = {right: list(some) for right, some in placed.items()}
+    for _ in range(40):
+        periods, phase, size = rng.uniform(0.7, 2.5), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.06, 0.12)
+
+        def wrong(one: lag_sign.Placed, periods=periods, phase=phase, size=size) -> lag_sign.Placed:
+            wave = size * np.sin(2.0 * np.pi * periods * one.lines / bands[0].image.shape[0] + phase)
+            free = np.vander(one.lines / one.lines.mean(), 2)
+            wave -= free @ np.linalg.lstsq(free, wave, rcond=None)[0]
+            return replace(one, means=one.means + wave)
+
+        for right, some in clean.items():
+            placed[right] = [wrong(one) for one in some]
+        assert said(bands) == ""
+    placed.update(clean)
+
+
+def test_a_recovered_strip_warns_of_it_unless_sensors_tie_the_motion(monkeypatch):
+    @dataclass(frozen=True)
+    class Found:
+        warnings: tuple[str, ...] = ("other",)
+
+    monkeypatch.setattr(line_of_sight, "recover_line_of_sight", lambda *_, **__: Found())
+    monkeypatch.setattr(lag_sign, "wrong_lag_sign", lambda *_, **__: "wrong sign")
+    acquired = SimpleNamespace(
+        bands=(), frames=(), surface=GROUND, height_sigma=0.0, sensors=(), control_points=None,
+        known_motion=None, matching={}, path="a.toml",
+    )  # fmt: skip
+    report: Any = lambda *_: None  # noqa: E731
+    assert recover_acquisition(acquired, report).warnings == ("other", "wrong sign")
+    acquired.sensors = ("gyro",)
+    assert recover_acquisition(acquired, report).warnings == ("other",)
 
 
 def test_nothing_is_said_where_no_fourth_band_tells(bands, said):

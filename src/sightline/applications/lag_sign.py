@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.errors import EstimationError, InputError, SpanError
+from sightline.errors import SightlineError, computes
 from sightline.estimation.robust import robust_sigmas
 from sightline.execution import Progress
 from sightline.geometry.camera import PushbroomCamera
@@ -27,12 +28,13 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.imaging.part import ImageLines
 from sightline.matching.match_images import match_images
+from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.results import LineOfSight
 from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.strip import RecoverOptions
-from sightline.motion.strip.warnings import pair_tells
+from sightline.motion.strip.warnings import FAR_OFF, pair_tells
 
 Array = NDArray[np.float64]
 
@@ -47,33 +49,82 @@ PARTS, FEWEST, FEWEST_PARTS = 8, 5, 5
 ROUNDS, FALSE = 5, 3.0
 #: px; how well offset and slope of a band are known beforehand: hardly.
 FREE = 100.0
-#: Lines that are looked at, at most: seconds of motion tell as much as the whole strip.
-MOST_LINES = 1500
-#: Difference of deviances by which lags of the other sign are a thousand times likelier.
-LIKELIER = 2.0 * math.log(1000.0)
+#: Pixels of an image that are looked at, at most, from its first line on: two more recoveries are dear.
+MOST_PIXELS = 1_500_000
+#: Difference of deviances by which lags of the other sign are a thousand times likelier, and the chance at
+#: least of what they leave: an error of the band itself fits neither.
+LIKELIER, UNLIKELY = 2.0 * math.log(1000.0), 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Placed:
-    """How well a band lies, across, that had no part in a motion by which it is placed.
+    """How a band lies, across, that had no part in the motion by which it is placed.
 
     Attributes
     ----------
-    left_px : float
-        rms of means over PARTS of the strip, with its offset, turn and scale fitted.
-    noise_px, stated_px : float
-        What the scatter of its windows, and the sigma of the motion, let expect of that.
-    deviance : float
-        -2 log of its likelihood.
-    parts : int
-        That count.
+    parts : (n,) int
+        Parts of the strip, of PARTS, that hold enough windows.
+    lines : (n,)
+        Mean line of the windows of each.
+    means : (n,)
+        px; their mean offset, with offset, turn and scale of the band fitted.
+    noise : (n,)
+        px^2; variance of that by their scatter.
+    motion : (n, n)
+        px^2; its covariance by that of the motion.
     """
 
-    left_px: float
-    noise_px: float
-    stated_px: float
-    deviance: float
-    parts: int
+    parts: NDArray[np.intp]
+    lines: Array
+    means: Array
+    noise: Array
+    motion: Array
+
+    @property
+    def left_px(self) -> float:
+        """rms of the means."""
+        return float(np.sqrt((self.means**2).mean()))
+
+    @property
+    def noise_px(self) -> float:
+        """What the scatter of windows lets expect of that."""
+        return float(np.sqrt(self.noise.mean()))
+
+    @property
+    def stated_px(self) -> float:
+        """What the sigma of the motion lets expect of it, a line fitted."""
+        without = np.eye(len(self.lines)) - self._free @ np.linalg.pinv(self._free)
+        return float(np.sqrt(np.trace(without @ self.motion @ without) / len(self.lines)))
+
+    @property
+    def fits(self) -> bool:
+        """Whether what is left is no more than its own noise and the motion's sigma explain."""
+        square = self._square(self._whole(self.noise))
+        return bool(chdtrc(len(self.lines) - 2.0, square) > UNLIKELY)
+
+    def less_likely(self, other: Placed) -> float:
+        """By how much -2 log of the likelihood exceeds that of another; NaN where that is of other parts.
+
+        The noise of each part is the smaller of both: what a false motion leaves within a part is none.
+        """
+        if not np.array_equal(self.parts, other.parts):
+            return math.nan
+        noise = np.minimum(self.noise, other.noise)
+        own, others = (one._whole(noise) for one in (self, other))
+        sizes = [float(np.linalg.slogdet(whole)[1]) for whole in (own, others)]
+        return self._square(own) + sizes[0] - other._square(others) - sizes[1]
+
+    @property
+    def _free(self) -> Array:
+        """(n, 2); an offset and a slope along the strip."""
+        rise = self.lines - self.lines.mean()
+        return np.column_stack([np.ones(len(rise)), rise / np.ptp(rise)])
+
+    def _whole(self, noise: Array) -> Array:
+        return np.asarray(self.motion + np.diag(noise) + FREE**2 * self._free @ self._free.T)
+
+    def _square(self, whole: Array) -> float:
+        return float(self.means @ np.linalg.solve(whole, self.means))
 
 
 def placed_by(
@@ -101,30 +152,23 @@ def placed_by(
         left = left - shape @ np.linalg.lstsq(shape[good], left[good], rcond=None)[0]
         good = np.abs(left) < FALSE * robust_sigmas(left[good], axis=0)
     part = np.minimum(line * PARTS / images[0].shape[0], PARTS - 1).astype(int)
-    rows = [np.flatnonzero(good & (part == k)) for k in range(PARTS)]
-    rows = [row for row in rows if len(row) >= FEWEST]
+    rows = {k: np.flatnonzero(good & (part == k)) for k in range(PARTS)}
+    rows = {k: row for k, row in rows.items() if len(row) >= FEWEST}
     if len(rows) < FEWEST_PARTS:
         return None
-    means = np.array([left[row].mean() for row in rows])
-    noise = np.array([left[row].var() / len(row) for row in rows])
     motion = _covariance(
         found,
         [
-            [camera.times((at[row, 0, None] + OWN_LINES).ravel()) for row in rows]
+            [camera.times((at[row, 0, None] + OWN_LINES).ravel()) for row in rows.values()]
             for camera, at in zip(cameras, (points[match.kept], there[match.kept]), strict=True)
         ],
     )
-    lines = np.column_stack([np.ones(len(rows)), [line[row].mean() for row in rows]])
-    lines[:, 1] = (lines[:, 1] - lines[:, 1].mean()) / np.ptp(lines[:, 1])
-    whole = motion + np.diag(noise) + FREE**2 * lines @ lines.T
-    _, size = np.linalg.slogdet(whole)
-    without = np.eye(len(rows)) - lines @ np.linalg.pinv(lines)
     return Placed(
-        float(np.sqrt((means**2).mean())),
-        float(np.sqrt(noise.mean())),
-        float(np.sqrt(np.trace(without @ motion @ without) / len(rows))),
-        float(means @ np.linalg.solve(whole, means) + size),
-        len(rows),
+        np.array(list(rows)),
+        np.array([line[row].mean() for row in rows.values()]),
+        np.array([left[row].mean() for row in rows.values()]),
+        np.array([left[row].var() / len(row) for row in rows.values()]),
+        motion,
     )
 
 
@@ -199,8 +243,8 @@ def wrong_lag_sign(
     found : LineOfSight
         Of all `bands`: which match how well.
     bands : sequence of Band
-        Four at least, of pixels of one size and without TDI, which lie on one another but for less than twice
-        the search.
+        Four at least, of pixels of one size and without TDI, which lie on one another as nearly as their
+        offsets are known.
     surface : Surface
     height_sigma : float
         m
@@ -210,12 +254,12 @@ def wrong_lag_sign(
 
     Notes
     -----
-    The band that matches worst is left out. The others are recovered as they are and with lags reversed, and
-    it is placed by either motion. Its deviance across tells the two apart; its offset, turn and scale are
-    free.
+    Of the four that match best the last is left out. The others are recovered as they are and with lags
+    reversed, and it is placed by either motion. What is left across tells the two apart; its offset, turn and
+    scale are free.
     """
     options = options or RecoverOptions()
-    chosen = _chosen(found, bands, surface, options)
+    chosen = _chosen(found, bands, surface)
     if len(chosen) < 4:
         return ""
     some = [_begun(bands[k]) for k in chosen]
@@ -223,82 +267,90 @@ def wrong_lag_sign(
         progress("looking whether lags of the other sign fit better")
     try:
         both = [_last_placed(one, surface, height_sigma, options) for one in (some, with_reversed_lags(some))]
-    except (EstimationError, SpanError, InputError):  # it cannot be told
+    except SightlineError:  # it cannot be told
         return ""
-    alike = [(a, b) for a, b in zip(*both, strict=True) if a and b and a.parts == b.parts]
-    if not alike:
+    pairs = [(a, b) for a, b in zip(*both, strict=True) if a and b]
+    if not pairs:
         return ""
-    given, turned = min(alike, key=lambda pair: max(pair[0].noise_px, pair[1].noise_px))
-    if given.deviance - turned.deviance < LIKELIER:
+    given, turned = min(pairs, key=lambda pair: max(pair[0].noise_px, pair[1].noise_px))
+    likelier = given.less_likely(turned) >= LIKELIER
+    if not (likelier and turned.left_px < given.left_px and turned.fits):
         return ""
-    expected = math.hypot(given.noise_px, given.stated_px), math.hypot(turned.noise_px, turned.stated_px)
+    expected = [math.hypot(one.noise_px, one.stated_px) for one in (given, turned)]
     return (
         f"all lags seem to have the wrong sign: {some[-1].name}, placed by the motion of "
         f"{', '.join(band.name for band in some[:-1])}, lies {given.left_px:.2g} px off across "
         f"({expected[0]:.2g} are to be expected), and {turned.left_px:.2g} px ({expected[1]:.2g}) with lags "
-        "of the other sign: change the sign of every `look_ahead` and of all lags (`init --lag-sign`)"
+        "of the other sign: change the sign of every `look_ahead` and `first_line_time`, or give `init` the "
+        "other --lag-sign"
     )
 
 
-def _chosen(
-    found: LineOfSight, bands: Sequence[Band], surface: Surface, options: RecoverOptions
-) -> list[int]:
-    """Four bands, that which matches worst last; none where lags of either sign do not match alike."""
-    first = bands[0]
-    if len(bands) < 4 or not all(_of_one_kind(first, band) for band in bands):
+def _chosen(found: LineOfSight, bands: Sequence[Band], surface: Surface) -> list[int]:
+    """Four bands, that which matches worst last; none where the other sign would put them far from there."""
+    inexact = [k for k, band in enumerate(bands) if band.offset_sigma_px > 0.0]
+    groups = [[k for k in inexact if _of_one_kind(bands[first], bands[k])] for first in inexact]
+    alike = max(groups, key=len, default=[])
+    if len(alike) < 4:
         return []
+    first = bands[alike[0]]
     middle = np.array([[0.5 * (first.camera.lines - 1), 0.5 * (first.camera.columns - 1)]])
-    there = [predict_match(first.camera, band.camera, surface, middle)[0, 0] for band in bands]
-    if not (np.abs(np.array(there) - middle[0, 0]) < 2 * options.search_px[0]).all():
-        return []
+    for k in alike[1:]:
+        moved = predict_match(first.camera, bands[k].camera, surface, middle)[0, 0] - middle[0, 0]
+        if not 2.0 * abs(moved) < FAR_OFF * math.hypot(first.offset_sigma_px, bands[k].offset_sigma_px):
+            return []
     compared, kept = np.zeros((2, len(bands)), dtype=int)
     for pair in found.pairs:
         for image in pair.images:
             compared[image] = max(compared[image], pair.tried)
             kept[image] = max(kept[image], pair.kept)
-    lags = np.array([_middle_time(band) for band in bands])
-    tell = np.flatnonzero(pair_tells(kept, compared) & (kept >= PARTS * FEWEST))
-    best = sorted(tell.tolist(), key=lambda k: -kept[k])[:4]
+    tell = pair_tells(kept, compared) & (kept >= PARTS * FEWEST)
+    best = sorted((k for k in alike if tell[k]), key=lambda k: -kept[k])[:4]
     # bands that looked at once are one
-    if len(best) < 4 or np.diff(np.sort(lags[best])).min() <= 0.0:
+    if len(best) < 4 or np.diff(np.sort([_middle_time(bands[k]) for k in best])).min() <= 0.0:
         return []
     return [*sorted(best[:3]), best[3]]
 
 
 def _of_one_kind(first: Band, band: Band) -> bool:
-    """Whether bands have pixels of one size, no TDI, one mount, images of one shape, and unknown places."""
+    """Whether two bands are lines across the flight of one camera, of the same pixels, without TDI."""
     a, b = first.camera, band.camera
     if not (isinstance(a.pointing, FixedMount) and isinstance(b.pointing, FixedMount)):
         return False
     turned = a.pointing.body_from_camera.inv() * b.pointing.body_from_camera
+    across = b.pointing.body_from_camera.apply([*b.detector.axis, 0.0])
     return bool(
         a.stages is None
         and b.stages is None
         and first.image.shape == band.image.shape
-        and band.offset_sigma_px > 0.0
         and turned.magnitude() < 1e-9
+        and abs(across[0]) < 0.1
         and abs(b.detector.axis[1]) < 0.1
         and abs(b.detector.pixel_step / a.detector.pixel_step - 1.0) < 0.01
+        and abs(b.detector.line_period / a.detector.line_period - 1.0) < 0.01
     )
 
 
 def _begun(band: Band) -> Band:
     """The first lines of a band."""
     camera = band.camera
-    if camera.lines <= MOST_LINES:
+    lines = min(camera.lines, max(MOST_PIXELS // camera.columns, 1))
+    if lines == camera.lines:
         return band
-    times = None if camera.line_times is None else camera.line_times[:MOST_LINES]
+    times = None if camera.line_times is None else camera.line_times[:lines]
     return replace(
         band,
-        image=ImageLines(band.image, 0, MOST_LINES),
-        camera=replace(camera, lines=MOST_LINES, line_times=times),
+        image=ImageLines(band.image, 0, lines),
+        camera=replace(camera, lines=lines, line_times=times),
     )
 
 
+@computes("whether lags of the other sign fit better")
 def _last_placed(
     bands: Sequence[Band], surface: Surface, height_sigma: float, options: RecoverOptions
 ) -> list[Placed | None]:
     """The last of the bands, placed by the motion of the others beside each of these."""
-    plain = replace(options, pairs=(), withhold=(), method="joint")
+    # pairs and features are named by bands of the whole strip
+    plain = replace(options, pairs=(), withhold=(), method="joint", selection=Selection())
     found = recover_line_of_sight(bands[:-1], surface, height_sigma=height_sigma, options=plain)
     return [placed_by(found, bands, surface, hub, len(bands) - 1) for hub in range(len(bands) - 1)]

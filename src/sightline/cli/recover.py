@@ -203,7 +203,7 @@ def recover_acquisition(
         stages=stages,
     )
     if acquired.sensors or acquired.control_points is not None:
-        return result  # these tell which way the camera moved
+        return result  # with these the motion is tied to more than bands
     said = wrong_lag_sign(
         result,
         acquired.bands,
