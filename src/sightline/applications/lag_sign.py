@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.errors import SightlineError, computes
@@ -51,9 +50,8 @@ ROUNDS, FALSE = 5, 3.0
 FREE = 100.0
 #: Pixels of an image that are looked at, at most, from its first line on: two more recoveries are dear.
 MOST_PIXELS = 1_500_000
-#: Difference of deviances by which lags of the other sign are a thousand times likelier, and the chance at
-#: least of what they leave: an error of the band itself fits neither.
-LIKELIER, UNLIKELY = 2.0 * math.log(1000.0), 1e-3
+#: Difference of deviances by which lags of the other sign are a thousand times likelier.
+LIKELIER = 2.0 * math.log(1000.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,35 +94,29 @@ class Placed:
         without = np.eye(len(self.lines)) - self._free @ np.linalg.pinv(self._free)
         return float(np.sqrt(np.trace(without @ self.motion @ without) / len(self.lines)))
 
-    @property
-    def fits(self) -> bool:
-        """Whether what is left is no more than its own noise and the motion's sigma explain."""
-        square = self._square(self._whole(self.noise))
-        return bool(chdtrc(len(self.lines) - 2.0, square) > UNLIKELY)
-
     def less_likely(self, other: Placed) -> float:
         """By how much -2 log of the likelihood exceeds that of another; NaN where that is of other parts.
 
-        The noise of each part is the smaller of both: what a false motion leaves within a part is none.
+        The noise of each part is the smaller of both: what a false motion leaves within a part is none. Where
+        both leave more than noise and motion explain, the band errs by itself, and tells the less.
         """
         if not np.array_equal(self.parts, other.parts):
             return math.nan
         noise = np.minimum(self.noise, other.noise)
-        own, others = (one._whole(noise) for one in (self, other))
-        sizes = [float(np.linalg.slogdet(whole)[1]) for whole in (own, others)]
-        return self._square(own) + sizes[0] - other._square(others) - sizes[1]
+        wholes = [one.motion + np.diag(noise) + FREE**2 * one._free @ one._free.T for one in (self, other)]
+        squares = [
+            float(one.means @ np.linalg.solve(whole, one.means))
+            for one, whole in zip((self, other), wholes, strict=True)
+        ]
+        sizes = [float(np.linalg.slogdet(whole)[1]) for whole in wholes]
+        beyond = max(min(squares) / (len(self.parts) - 2), 1.0)
+        return (squares[0] - squares[1]) / beyond + sizes[0] - sizes[1]
 
     @property
     def _free(self) -> Array:
         """(n, 2); an offset and a slope along the strip."""
         rise = self.lines - self.lines.mean()
         return np.column_stack([np.ones(len(rise)), rise / np.ptp(rise)])
-
-    def _whole(self, noise: Array) -> Array:
-        return np.asarray(self.motion + np.diag(noise) + FREE**2 * self._free @ self._free.T)
-
-    def _square(self, whole: Array) -> float:
-        return float(self.means @ np.linalg.solve(whole, self.means))
 
 
 def placed_by(
@@ -273,8 +265,7 @@ def wrong_lag_sign(
     if not pairs:
         return ""
     given, turned = min(pairs, key=lambda pair: max(pair[0].noise_px, pair[1].noise_px))
-    likelier = given.less_likely(turned) >= LIKELIER
-    if not (likelier and turned.left_px < given.left_px and turned.fits):
+    if not (given.less_likely(turned) >= LIKELIER and turned.left_px < given.left_px):
         return ""
     expected = [math.hypot(one.noise_px, one.stated_px) for one in (given, turned)]
     return (
