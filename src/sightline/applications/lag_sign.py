@@ -50,8 +50,8 @@ ROUNDS, FALSE = 5, 3.0
 FREE = 100.0
 #: Pixels of an image that are looked at, at most, from its first line on: two more recoveries are dear.
 MOST_PIXELS = 1_500_000
-#: Difference of deviances by which lags of the other sign are a hundred times likelier: before, either may be,
-#: as staggered detectors look in turn.
+#: Difference of deviances by which lags of the other sign are a hundred times likelier: beforehand either may
+#: be, as staggered detectors look in turn.
 LIKELIER = 2.0 * math.log(100.0)
 
 
