@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 
+import numpy as np
 import pytest
 
 from sightline.cli.main import run
@@ -131,6 +132,30 @@ def test_a_band_that_matches_nothing_is_named_by_recover_and_marked_by_register(
     page = (out / "report.html").read_text()
     assert "Too few windows match to say how well these fit: PAN – B1, B1 – B0, B1 – B2." in page
     assert "Placed by the recovered motion alone, their own place never measured: B1." in page
+
+
+def test_a_band_in_none_of_the_pairs_is_laid_by_the_motion_of_the_others(recovery, tmp_path, capsys):
+    scene, folder, out = shutil.copytree(recovery.scene, tmp_path / "scene"), tmp_path / "r", tmp_path / "out"
+    toml = scene / "acquisition.toml"
+    pairs = '[["PAN", "B1"], ["PAN", "B0"], ["B1", "B0"]]'
+    toml.write_text(f"{toml.read_text()}\n[matching]\npasses = 1\npairs = {pairs}\n")
+    assert run(["recover", str(toml), "--out", str(folder)]) == 0
+    said = capsys.readouterr().err
+    assert "B2 is in none of the `pairs` that are to be matched" in said and "matches nothing" not in said
+    assert run(["register", str(toml), "--motion", str(folder), "--out", str(out)]) == 0
+    said = capsys.readouterr()
+    assert "B2                placed by the recovered motion alone" in said.out
+    assert "B2 is placed by its camera and the recovered motion alone: it had no part in that" in said.err
+    summary = json.loads((out / "summary.json").read_text())
+    of_band = [pair["after"] for pair in summary["pairs"] if "B2" in pair["images"]]
+    # it lies where its look angle says, known to a pixel each way: four sigmas of two images
+    assert all(np.abs(fit["mean_px"]).max() < 4.0 * np.sqrt(2.0) for fit in of_band)
+    # and it moves as the others say: its own rotation and scale are left, where no motion, or the opposite,
+    # would leave as much as before or twice that
+    before = [pair["before"] for pair in summary["pairs"] if "B2" in pair["images"]]
+    for was, now in zip(before, of_band, strict=True):
+        left = [np.sqrt(np.square(fit["rms_px"]) - np.square(fit["mean_px"])) for fit in (was, now)]
+        assert np.hypot(*left[1]) < 0.7 * np.hypot(*left[0])
 
 
 def stopped_at(stage: str, words: list[str], monkeypatch) -> None:

@@ -62,8 +62,8 @@ def placed(bands) -> dict[bool, list[lag_sign.Placed | None]]:
 
 
 @pytest.fixture
-def said(bands, placed, monkeypatch) -> Callable[[Sequence[Band]], str]:
-    """What is said of bands all of which match, the last a little worse."""
+def said(bands, placed, monkeypatch) -> Callable[..., str]:
+    """What is said of bands all of which match, the last a little worse; the `less` last had no part."""
     pairs = [SimpleNamespace(images=(0, k), tried=600, kept=590 - k) for k in range(1, 4)]
 
     def once(some: Sequence[Band], *_: Any) -> Any:
@@ -71,7 +71,11 @@ def said(bands, placed, monkeypatch) -> Callable[[Sequence[Band]], str]:
         return placed[(ahead[2] > ahead[0]) == (bands[2].camera.first_line_time > 0.0)]
 
     monkeypatch.setattr(lag_sign, "_last_placed", once)
-    return lambda some: wrong_lag_sign(SimpleNamespace(pairs=pairs[: len(some) - 1]), some, GROUND)  # type: ignore[arg-type]
+    return lambda some, less=0: wrong_lag_sign(
+        SimpleNamespace(pairs=pairs[: len(some) - 1 - less]),
+        some,
+        GROUND,  # type: ignore[arg-type]
+    )
 
 
 def test_reversed_lags_show_the_same_ground_at_mirrored_times(bands):
@@ -98,6 +102,13 @@ def test_lags_of_the_wrong_sign_are_told_by_a_fourth_band(bands, said):
 
 def test_nothing_is_said_of_lags_of_the_right_sign(bands, said):
     assert said(bands) == ""
+    assert said(bands, less=1) == ""
+
+
+def test_a_band_that_was_given_no_part_tells_too_beside_three_that_match(bands, said):
+    turned = with_reversed_lags(bands)
+    assert "wrong sign: D, placed by the motion of A, B, C" in said(turned, less=1)
+    assert said(turned, less=2) == ""
 
 
 def test_errors_of_the_band_itself_are_not_taken_for_the_other_sign(bands, placed, said, monkeypatch):

@@ -297,9 +297,12 @@ def _chosen(found: LineOfSight, bands: Sequence[Band], surface: Surface) -> list
             compared[image] = max(compared[image], pair.tried)
             kept[image] = max(kept[image], pair.kept)
     tell = pair_tells(kept, compared) & (kept >= PARTS * FEWEST)
-    best = sorted((k for k in alike if tell[k]), key=lambda k: -kept[k])[:4]
+    # the last may be one that had no part in the motion anyway
+    best = sorted((k for k in alike if tell[k] or not compared[k]), key=lambda k: -kept[k])[:4]
+    if len(best) < 4 or not kept[best[2]]:
+        return []
     # bands that looked at once are one
-    if len(best) < 4 or np.diff(np.sort([_middle_time(bands[k]) for k in best])).min() <= 0.0:
+    if np.diff(np.sort([_middle_time(bands[k]) for k in best])).min() <= 0.0:
         return []
     return [*sorted(best[:3]), best[3]]
 

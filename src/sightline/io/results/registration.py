@@ -76,7 +76,10 @@ def summarize_registration(
         "kernel": {"taps": TAPS, "band": BAND, "mask_share": MASK_SHARE, "map_tolerance_px": MAP_TOLERANCE},
         "motion": {key: recovered.summary.get(key) for key in ("name", "version", "reference_image")},
         "inputs": acquisition.input_hashes(),
-        "warnings": [*_clipped(bands, written.clipped), *_warnings(bands, pairs)],
+        "warnings": [
+            *_clipped(bands, written.clipped),
+            *_warnings(bands, pairs, _compared(recovered.summary)),
+        ],
         "peak_memory_bytes": peak_memory(),
     }
 
@@ -89,6 +92,12 @@ def _measured(summary: Mapping[str, Any]) -> set[str] | None:
     if not isinstance(pairs, list):
         return None
     return {name for pair in pairs if pair_tells(pair["kept"], pair["tried"]) for name in pair["images"]}
+
+
+def _compared(summary: Mapping[str, Any]) -> set[str]:
+    """Names of the bands of which `recover` compared windows with another, whether they matched or not."""
+    pairs = summary.get("pairs")
+    return {name for pair in pairs if pair["tried"] for name in pair["images"]} if pairs else set()
 
 
 def _fit(fit: BandFit) -> dict[str, Any]:
@@ -112,7 +121,9 @@ def _clipped(bands: Sequence[dict[str, Any]], shares: Sequence[float]) -> list[s
     ]
 
 
-def _warnings(bands: Sequence[dict[str, Any]], pairs: Sequence[dict[str, Any]]) -> list[str]:
+def _warnings(
+    bands: Sequence[dict[str, Any]], pairs: Sequence[dict[str, Any]], compared: set[str]
+) -> list[str]:
     """What a user should know before using the images."""
     out = [
         f"only {100 * band['valid_share']:.0f} % of {band['name']} has a value on this grid: it saw little "
@@ -121,9 +132,14 @@ def _warnings(bands: Sequence[dict[str, Any]], pairs: Sequence[dict[str, Any]]) 
         if band["valid_share"] < MOST
     ]
     out += [
-        f"{band['name']} is placed by its camera and the recovered motion alone: `recover` kept next to none "
-        "of its windows, so nothing measured its place, and it may lie many pixels off; see the warnings of "
-        "`recover`"
+        f"{band['name']} is placed by its camera and the recovered motion alone: "
+        + (
+            "`recover` kept next to none of its windows, so nothing measured its place, and it may lie many "
+            "pixels off; see the warnings of `recover`"
+            if band["name"] in compared
+            else "it had no part in that, so that its offset, rotation and scale are as given; how far it "
+            "lies off is in `pairs`"
+        )
         for band in bands
         if band["placed_by"] == "motion"
     ]

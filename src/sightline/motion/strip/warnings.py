@@ -291,18 +291,24 @@ def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
 def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: RecoverOptions) -> list[str]:
     """Bands none of whose pairs keeps enough windows, and the one mistake that is why where there is one."""
     compared, kept = _pairs_compared(records, len(strip.bands))
+    named = {name for pair in options.pairs for name in pair} or {band.name for band in strip.bands}
+    asked = np.array([band.name in named for band in strip.bands])
     alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
     # those of coarse pixels first, whose windows are compared with those of fine ones
     groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
-    matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone)
+    matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone & asked)
     matched = matched[np.argsort(groups[matched], kind="stable")]
-    out = []
+    out = [
+        f"{strip.bands[b].name} is in none of the `pairs` that are to be matched: it has no part in the "
+        "motion, and nothing measures its place"
+        for b in np.flatnonzero(~asked)
+    ]
     if len(matched) and len(lost) > 1:
         some = [strip.bands[b] for b in (matched[0], *lost)]
         words, names, _ = exchanged_bands(some, strip.surface, RecoverOptions().search_px)
         # only of lost ones: the others match as they are
         if words and some[0].name not in names:
-            out = [f"{' and '.join(names)} match nothing: {words}"]
+            out.append(f"{' and '.join(names)} match nothing: {words}")
             lost = np.array([b for b in lost if strip.bands[b].name not in names], dtype=int)
     return out + [
         f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
