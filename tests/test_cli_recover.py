@@ -17,6 +17,7 @@ from tests.terminal_lines import PROGRESS, WARNING
 
 from sightline.cli import demo as demo_command
 from sightline.cli.main import run
+from sightline.errors import EstimationError
 from sightline.io.results.line_of_sight import RESULT_FILES
 
 #: No relief is sought: the heights of the scene are given.
@@ -186,6 +187,29 @@ def test_a_run_of_listed_features_that_was_stopped_goes_on_to_the_same_bits(shor
     stopped_after(1, [*command, str(out)], monkeypatch)
     assert run([*command, str(out), "--resume"]) == 0
     assert content(out) == content(tmp_path / "whole")
+
+
+def test_what_check_finds_suspicious_is_said_once_also_where_nothing_is_recovered(
+    recovery, quick, tmp_path, capsys, monkeypatch
+):
+    from sightline.applications import line_of_sight
+
+    scene, out = shutil.copytree(recovery.scene, tmp_path / "scene"), tmp_path / "out"
+    (scene / "f.csv").write_text("image,line,column\nPAN,3,3\nPAN,9999,3\n")
+    toml = scene / "acquisition.toml"
+    toml.write_text(f'{toml.read_text()}\n[matching]\nselect = "listed"\nfeatures = "f.csv"\n')
+    said = f"{scene / 'f.csv'}: 1 of 2 features lie outside their images"
+    assert run([quick[0], str(toml), "--out", str(out)]) == 0
+    assert capsys.readouterr().err.count(said) == 1
+    assert sum(said in words for words in json.loads((out / "summary.json").read_text())["warnings"]) == 1
+
+    def fails(*_: object, **__: object) -> None:
+        raise EstimationError("nothing matches")
+
+    monkeypatch.setattr(line_of_sight, "recover_line_of_sight", fails)
+    assert run([quick[0], str(toml), "--out", str(tmp_path / "none")]) != 0
+    lines = capsys.readouterr().err.splitlines()
+    assert said in lines[-2] and "nothing matches" in lines[-1]
 
 
 @pytest.mark.parametrize("other", ["options", "images"])

@@ -454,3 +454,14 @@ def test_values_that_no_computation_takes_are_one_error_that_names_the_file(fold
     assert "acquisition.toml: what it says, and the files that it names, cannot be computed with" in message(
         folder
     )
+
+
+def test_features_outside_their_images_are_named(folder):
+    rows = ["PAN,-0.5,3", f"XS,{LINES - 0.6},3", f"PAN,5,{COLUMNS}", "PAN,3,-1"]
+    (folder.path / "f.csv").write_text("\n".join(["image,line,column", *rows]) + "\n")
+    folder.add('[matching]\nselect = "listed"\nfeatures = "f.csv"\n')
+    (said,) = load_acquisition(folder.write()).doubts
+    assert said.endswith(
+        "2 of 4 features lie outside their images and choose no window, the first in row 3: "
+        f"line 5, column {COLUMNS} of PAN, which has {LINES} x {COLUMNS}"
+    )

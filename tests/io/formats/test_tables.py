@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -147,7 +148,15 @@ def test_a_sigma_of_zero_is_refused(tmp_path):
     assert "row 1: sigma = 0; a 1-sigma error must be positive" in said
 
 
-@pytest.mark.parametrize("sigma", ["1e300", "1e-300"])
+@pytest.mark.parametrize("fill", ["-1e300", "9.97e36", "-3.4028e38"])
+def test_a_number_that_stands_for_none_is_named(tmp_path, fill):
+    rows = f"t,roll,pitch,yaw,sigma\n0,0,0,0,1e-6\n1,0,{fill},0,1e-6\n"
+    for read in (tables.read_star_tracker, partial(tables.read_long_columns, columns=tables.STAR_TRACKER)):
+        said = message(read, csv(tmp_path, rows))
+        assert f"line 3, column 'pitch' is {fill} (1 such in all); no quantity is as large" in said
+
+
+@pytest.mark.parametrize("sigma", ["1e20", "1e-300"])
 def test_a_sigma_that_no_instrument_has_is_refused_in_every_table(tmp_path, sigma):
     for read, text, unit in (
         (tables.read_star_tracker, f"t,roll,pitch,yaw,sigma\n0,0,0,0,{sigma}\n", "1e-13 to 6.3 rad are"),

@@ -40,6 +40,10 @@ def test_a_summary_that_lists_none_gives_none(tmp_path):
     [
         ("drift", "neither a list nor a table"),
         ({"table": "hidden.csv"}, "names of directions are expected"),
+        (
+            {"table": "hidden.csv", "names": ["drift"]},
+            r"hidden\.csv: no such file; .* run the command that wrote it again",
+        ),
         ([{"name": "drift", "yaw": [1.0, 2.0]}], "'yaw' must be 5 finite numbers"),
         ([{"name": "drift", "yaw": "x"}], "'yaw' must be 5 finite numbers"),
     ],

@@ -254,6 +254,12 @@ def _strip_times(acquisition: Acquisition) -> tuple[float, float]:
     return min(ends), max(ends)
 
 
+def what_is_doubtful(acquisition: Acquisition) -> tuple[str, ...]:
+    """What of an acquisition is hardly meant: how pixels lie on the ground, where it looks, its tables."""
+    sampling = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    return (*sampling, *acquisition.doubts)
+
+
 def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
     """What would make the result better, or is needed for some of the files."""
     lines = [
@@ -266,8 +272,7 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         for pair in pairs
         if pair.lag == 0.0
     ]
-    doubts = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
-    lines += [f"suspicious: {words}" for words in (*doubts, *acquisition.doubts)]
+    lines += [f"suspicious: {words}" for words in what_is_doubtful(acquisition)]
     names = [("focal length", acquisition.lens.focal_length_sigma_px, "px")]
     names += [("principal point", acquisition.lens.principal_point_sigma_px, "px")]
     names += [("distortion k1", acquisition.lens.distortion_sigma, "")]

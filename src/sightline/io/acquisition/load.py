@@ -178,7 +178,9 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         control_points=control,
         known_motion=read_known_motion(config, files),
         lens=lens_knowledge(config, frames[0].image.shape if frames else None),
-        matching=read_matching(config, files, names),
+        matching=read_matching(
+            config, files, dict(zip(names, (camera.shape for camera in cameras), strict=True))
+        ),
         platform=config.platform.kind,
         world=world_kind(config),
         spin=spin_of(config),
@@ -346,9 +348,14 @@ def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownConte
     return replace(known, tones=(), spectra=(spectra[0], spectra[1], spectra[2]))
 
 
-def read_matching(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> dict[str, Any]:
-    """What ``[matching]`` gives, by the names of ``RecoverOptions``; the selection as one of them."""
-    given = config.matching.model_dump(exclude_none=True)
+def read_matching(
+    config: AcquisitionFile, files: InputFolder, shapes: Mapping[str, tuple[int, int]]
+) -> dict[str, Any]:
+    """What ``[matching]`` gives, by the names of ``RecoverOptions``; the selection as one of them.
+
+    `shapes` are lines and columns of the images by their names.
+    """
+    given, names = config.matching.model_dump(exclude_none=True), list(shapes)
     chosen = {key: given.pop(key) for key in ("select", "strength", "points", "features") if key in given}
     if "select" not in chosen:
         return given
@@ -360,6 +367,16 @@ def read_matching(config: AcquisitionFile, files: InputFolder, names: Sequence[s
         if unknown:
             raise FormatError(f"{path}: image {unknown[0]!r} is none of: {', '.join(names)}")
         numbers = np.array([names.index(name) for name in images])
+        ends = np.array(list(shapes.values()))[numbers] - 0.5
+        outside = np.flatnonzero(((pixels < -0.5) | (pixels > ends)).any(axis=1))
+        for row in outside[:1]:
+            at = "line {:g}, column {:g} of {}, which has {} x {}".format(
+                *pixels[row], images[row], *shapes[images[row]]
+            )
+            files.doubts.append(
+                f"{path}: {len(outside)} of {len(images)} features lie outside their images and choose no "
+                f"window, the first in row {row + 1}: {at}"
+            )
         options["features"] = {int(k): pixels[numbers == k] for k in np.unique(numbers)}
     return {**given, "selection": Selection(**options, **chosen)}
 

@@ -69,6 +69,8 @@ _EACH = ["sigma_line", "sigma_column", "sigma_ground"]
 ROWS_AT_ONCE = 8192
 #: Columns that hold instants.
 _TIMES = ("t", "t_start", "t_end")
+#: No quantity of a table is as large in its unit: from here on they stand for none, as NetCDF's 9.97e36 does.
+FILL = 1e30
 _QUOTE = '"'
 #: What a cell in quotes alone can hold.
 _QUOTED = re.compile(r'[",\r\n]|^\s*#')
@@ -214,7 +216,7 @@ def read_long_columns(
         values = np.loadtxt(lines, delimiter=",", usecols=[at[n] for n in numbers], comments=None, ndmin=2)
     except ValueError:
         return dict(read_columns(path, names, text))
-    if not np.isfinite(values).all():
+    if not (np.abs(values) < FILL).all():
         return dict(read_columns(path, names, text))
     table: dict[str, Any] = {name: values[:, k].copy() for k, name in enumerate(numbers)}
     for name in text:
@@ -308,13 +310,14 @@ def _numbers(
                     f"{_number_advice(name, word)}"
                 ) from None
         raise
-    bad = np.isnan(values) if infinite else ~np.isfinite(values)
+    bad = np.isnan(values) if infinite else ~(np.abs(values) < FILL)
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
+        fill = "no quantity is as large, it stands for none"
+        what = fill if np.isfinite(values[first]) else "finite numbers are expected"
         raise FormatError(
             f"{path}: line {body[first][0]}, column {name!r} is {words[first]} ({int(bad.sum())} such in "
-            f"all); "
-            "finite numbers are expected; remove the row or supply the value"
+            f"all); {what}; remove the row or supply the value"
         )
     return values
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.access import check_inside, read_json
+from sightline.access import check_file, check_inside, read_json
 from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.evaluation.score import at_lines, constant_directions, less_hidden
 from sightline.geometry.trajectory import Motion
@@ -178,6 +178,7 @@ def _from_table(folder: Path, entry: Mapping[str, Any], lines: int) -> tuple[Arr
         names = tuple(str(name) for name in entry["names"])
     if not names:
         return np.zeros((lines, 3, 0)), ()
+    check_file(path, "summary.json says that it is part of this result: run the command that wrote it again")
     columns = [f"{name} {axis}" for name in names for axis in ANGLES]
     table = read_columns(path, columns)
     values = np.array([np.asarray(table[column]) for column in columns]).reshape(len(names), 3, -1)

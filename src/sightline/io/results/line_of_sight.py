@@ -30,7 +30,7 @@ from sightline.geometry.earth import WGS84
 from sightline.geometry.rotations import to_quat_xyzw
 from sightline.geometry.surface import Dem, Ellipsoid, Surface
 from sightline.io.acquisition.acquired import Acquisition
-from sightline.io.acquisition.ground import sampling_doubts
+from sightline.io.acquisition.describe import what_is_doubtful
 from sightline.io.formats.ccsds import write_aem
 from sightline.io.formats.json_text import json_text
 from sightline.io.formats.tables import (
@@ -247,7 +247,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "absolute_sigma_px": _per_axis(np.sqrt((result.absolute_sigma**2).mean(axis=0)) / result.scale),
         "hidden_directions": None,
         "changes": list(result.changes),
-        "warnings": [*result.warnings, *_unused(acquisition), *_doubts(acquisition)],
+        "warnings": [*result.warnings, *_unused(acquisition), *what_is_doubtful(acquisition)],
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
         "sources": list(acquisition.sources),
@@ -307,12 +307,6 @@ def _method(result: LineOfSight) -> dict[str, Any]:
         for values in (used.departure, used.stated_sigma)
     )
     return {"name": used.name, "rms_departure_from_joint_px": departure, "rms_stated_sigma_px": stated}
-
-
-def _doubts(acquisition: Acquisition) -> tuple[str, ...]:
-    """What was given and is hardly meant."""
-    own = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
-    return (*own, *acquisition.doubts)
 
 
 def _by_axis(tones: Sequence[DetectedTone]) -> dict[str, list[dict[str, Any]]]:
