@@ -57,6 +57,7 @@ def describe(file: Path) -> dict[str, Any]:
     """A file in words, with what its run will take; refused for what the run would refuse it for."""
     from sightline.applications.expected_cost import orientation_cost, prediction_cost, tdi_cost
     from sightline.applications.focal_plane import layout_cost
+    from sightline.cli.terminal import with_doubts
     from sightline.io.acquisition.describe import describe_acquisition
     from sightline.io.acquisition.load import load_acquisition, ready_to_recover
     from sightline.io.config import schema_of
@@ -97,7 +98,8 @@ def describe(file: Path) -> dict[str, Any]:
             description, cost = describe_tdi(problem), tdi_cost(problem)
         case _:
             acquired = load_acquisition(file, describe=True)
-            ready = None if acquired.still else ready_to_recover(acquired)
+            with with_doubts(acquired):
+                ready = None if acquired.still else ready_to_recover(acquired)
             description = describe_acquisition(acquired)
             description["missing"] = [*acquired.absent, *description["missing"]]
             description["absent"] = list(acquired.absent)

@@ -113,9 +113,8 @@ def recover_into(
     """
     import time
 
-    from sightline.cli.terminal import announce, complain
-    from sightline.errors import SightlineError, naming
-    from sightline.io.acquisition.describe import what_is_doubtful
+    from sightline.cli.terminal import announce, with_doubts
+    from sightline.errors import naming
     from sightline.io.acquisition.load import load_acquisition, ready_to_recover
     from sightline.io.formats.tables import read_motion
     from sightline.kinds.recovery import Recovery
@@ -123,14 +122,10 @@ def recover_into(
     begin = time.perf_counter()
     report("reading the acquisition")
     acquired = load_acquisition(acquisition)
-    announce(ready_to_recover(acquired, method))
-    try:
+    with with_doubts(acquired):
+        announce(ready_to_recover(acquired, method))
         with naming(acquisition):
             result = recover_acquisition(acquired, report, method=method, withhold=withhold, stages=stages)
-    except SightlineError:
-        for words in what_is_doubtful(acquired):  # it may be why
-            complain("warning", words)
-        raise
     true = None if truth is None else read_motion(truth)
     return Recovery().render(result, folder, report, begin, acquisition=acquired, truth=true)
 

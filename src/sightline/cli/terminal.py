@@ -19,6 +19,7 @@ from sightline.execution import Progress, time_words
 
 if TYPE_CHECKING:
     from sightline.applications.expected_cost import Cost
+    from sightline.io.acquisition.acquired import Acquisition
 
 
 #: s between lines of a stage under way, and that a stage took at least of which a line is left, in a log.
@@ -188,6 +189,20 @@ def announce(cost: Cost) -> None:
     """Warn of a run of an hour, or of half of the memory, before it is begun."""
     for words in cost.warnings:
         complain("warning", words)
+
+
+@contextmanager
+def with_doubts(acquired: Acquisition) -> Iterator[None]:
+    """Where what is done with an acquisition fails, say first what of it is suspicious: it may be why."""
+    from sightline.errors import SightlineError
+    from sightline.io.acquisition.describe import what_is_doubtful
+
+    try:
+        yield
+    except SightlineError:
+        for words in what_is_doubtful(acquired):
+            complain("warning", words)
+        raise
 
 
 def complain(kind: str, message: str) -> None:

@@ -372,6 +372,31 @@ def test_an_ifov_ten_times_too_small_or_large_is_doubted_aloud(folder, ifov, wid
     assert f"suspicious: {said}" in describe_acquisition(acquisition)["missing"]
 
 
+@pytest.mark.parametrize(
+    ("own", "keys"),
+    [
+        ("line_period = 1e-3", "ifov"),
+        ("ifov = 1e-5", "line_period"),
+        ("", "line_period and ifov"),
+        ("ifov = 1e-5\nline_period = 1e-3", ""),
+    ],
+)
+def test_keys_that_a_band_of_larger_pixels_lacks_are_asked_for(folder, own, keys):
+    write_tif(folder.path / "XS.tif", noise(3, (LINES // 2, COLUMNS // 2)))
+    folder.add(f"columns = {COLUMNS // 2}\n{own}\n")
+    acquisition = load_acquisition(folder.write())
+    said = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    words = f"XS: 2 times fewer lines and columns than PAN, and the same {keys}: if pixels are larger there, "
+    assert said == ((words + "a [[band]] takes its own",) if keys else ())
+
+
+def test_where_no_ground_is_shared_it_may_be_for_want_of_these_keys(folder):
+    write_tif(folder.path / "XS.tif", noise(3, (LINES // 4, COLUMNS // 4)))
+    folder.replace("look_ahead = 2e-4", f"look_ahead = 1.2e-3\ncolumns = {COLUMNS // 4}")
+    said = message(folder, GeometryError)
+    assert "shares no ground with any other image" in said and "XS: 4 times fewer lines" in said
+
+
 def test_lines_and_pixels_of_about_one_size_are_not_doubted(folder):
     acquisition = load_acquisition(folder.write())
     assert sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names) == ()

@@ -38,6 +38,8 @@ LIMB_SHARE = 0.75
 LARGEST_STEP_RATIO = 50.0
 #: The same, from which on it is asked whether that is meant.
 DOUBTFUL_STEP_RATIO = 4.0
+#: Sizes of images, lines or pixels that differ by less are alike, and by more are those of other pixels.
+ALIKE, UNLIKE = 1.1, 1.4
 #: Lines of a push-broom between two looks of one pass, at most: an hour of 3.6 ms. Blind frequencies are as
 #: many, and the motion is recovered over all of the time.
 MOST_LINES_APART = 1_000_000
@@ -359,17 +361,45 @@ def check_sampling(
 def sampling_doubts(
     surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
 ) -> tuple[str, ...]:
-    """What to say of bands whose lines and pixels are of very unlike size on the ground."""
+    """What to say of bands whose lines and pixels are of very unlike size on the ground, or of another's."""
     steps = {name: ground_steps(camera, surface) for name, camera in zip(names, cameras, strict=True)}
+    said = _keys_left_out(cameras, list(steps.items()))
     unlike = [name for name, (a, b) in steps.items() if max(a, b) >= DOUBTFUL_STEP_RATIO * min(a, b)]
     if not unlike:
-        return ()
+        return said
     along, across = steps[unlike[0]]
     of = "all bands" if len(unlike) == len(steps) else ", ".join(unlike)
     return (
+        *said,
         f"{of}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} m wide; if that is not "
         f"meant, check {_SAMPLING_KEYS}: with a wrong ifov every angle is wrong by as much",
     )
+
+
+def _keys_left_out(
+    cameras: Sequence[MovingCamera], steps: Sequence[tuple[str, tuple[float, float]]]
+) -> tuple[str, ...]:
+    """What to say of bands of coarser or finer pixels than the first has that seem to have its keys.
+
+    Their images then have as many lines and columns fewer or more, and lines or pixels no larger or smaller.
+    `steps` are names and ground steps of the cameras.
+    """
+    (first, own), of = steps[0], dict[str, list[str]]()
+    for camera, (name, each) in zip(cameras[1:], steps[1:], strict=True):
+        fewer = np.array(cameras[0].shape) / np.array(camera.shape)
+        ratio = float(np.sqrt(fewer.prod()))
+        if abs(np.log(ratio)) < np.log(UNLIKE) or np.ptp(np.log(fewer)) > np.log(ALIKE):
+            continue
+        same = np.abs(np.log(np.array(each) / np.array(own))) < np.log(ALIKE)
+        keys = [key for key, alike in zip(("line_period", "ifov"), same, strict=True) if alike]
+        if keys:
+            count, size = (ratio, "larger") if ratio > 1.0 else (1.0 / ratio, "smaller")
+            words = (
+                f"{count:.2g} times {'fewer' if ratio > 1.0 else 'more'} lines and columns than {first}, and "
+                f"the same {' and '.join(keys)}: if pixels are {size} there, a [[band]] takes its own"
+            )
+            of.setdefault(words, []).append(name)
+    return tuple(f"{', '.join(bands)}: {words}" for words, bands in of.items())
 
 
 def ground_steps(camera: MovingCamera, surface: Surface) -> tuple[float, float]:

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from sightline.applications.expected_cost import Cost, frames_cost, spin_cost, strip_cost
 from sightline.applications.line_of_sight import ready_strip
 from sightline.applications.spin_attitude import SpinOptions, seen_again
-from sightline.errors import EstimationError, FormatError, InputError, SightlineError, naming
+from sightline.errors import EstimationError, FormatError, GeometryError, InputError, SightlineError, naming
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_files, world_kind
 from sightline.io.acquisition.apparent import bent_bands
@@ -36,6 +37,7 @@ from sightline.io.acquisition.ground import (
     check_overlap,
     check_sampling,
     check_seen,
+    sampling_doubts,
 )
 from sightline.io.acquisition.looks import look_doubts, otherwise_written, sensor_doubts
 from sightline.io.acquisition.model_bands import build_model_bands
@@ -162,7 +164,8 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
             )  # fmt: skip
             check_sampling(path, surface, cameras, names)
             if len(cameras) > 1:
-                check_overlap(path, surface, cameras, names, still=bool(still))
+                with _sampling_said(surface, cameras, names):
+                    check_overlap(path, surface, cameras, names, still=bool(still))
     reference = cameras[0].trajectory
     sensors = tuple(read_sensor(entry, files, config, reference) for entry in config.attitude_sensor)
     exposed = np.concatenate([camera.times(np.array([0.0, camera.shape[0] - 1.0])) for camera in cameras])
@@ -210,6 +213,18 @@ def _still(config: AcquisitionFile, files: InputFolder, *, alone: bool) -> str:
         return one_band_words(config.band[0].name) if alone else ""
     grid = None if config.frame else shared_grid(files.grids)
     return "" if grid is None else grid.reason
+
+
+@contextmanager
+def _sampling_said(
+    surface: Surface, cameras: Sequence[PushbroomCamera | FrameCamera], names: Sequence[str]
+) -> Iterator[None]:
+    """What is wrong with where images lie ends with what is doubtful of their pixels: it may be why."""
+    try:
+        yield
+    except GeometryError as error:
+        doubts = sampling_doubts(surface, cameras, names)
+        raise GeometryError("; ".join([str(error), *doubts[:1]])) from error
 
 
 @contextmanager
