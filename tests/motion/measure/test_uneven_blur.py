@@ -11,7 +11,13 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.matching.whitening import Whitening
-from sightline.motion.measure.uneven_blur import _slopes_of_stages, displacement
+from sightline.motion.measure.uneven_blur import (
+    STEEP,
+    _is_steep,
+    _shifts,
+    _slopes_of_stages,
+    displacement,
+)
 
 PERIOD, STAGES = 5e-4, 16
 T = np.arange(-100, 500) * PERIOD
@@ -200,6 +206,40 @@ def test_a_filter_takes_blur_that_grows_from_line_to_line_for_a_displacement():
     assert np.abs(whole - lopsided).max() > 5e-4
     # the next order of the product of filter and blur is left
     assert_allclose(shift[:, 0], whole, atol=1e-4)
+
+
+def test_the_shift_lies_within_what_stages_moved_by_and_climbs_however_large_the_motion():
+    """Frequencies are multiples of one: what fits recurs every 16 px, and a step of no bound lands there."""
+    rng = np.random.default_rng(0)
+    along, across = (2.0 * np.pi * f[np.abs(f) < 0.45] for f in (np.fft.fftfreq(16), np.fft.rfftfreq(16)))
+    frequency = np.stack(np.meshgrid(along, across, indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = 1.0 / (0.05 + (frequency**2).sum(axis=1))
+    late = np.linspace(0.0, 1.0, 16)
+    shown, most = np.ones((1100, len(weight)), dtype=complex), np.zeros(1100)
+    for n in range(len(shown)):
+        for side in (1.0, -1.0):  # hub and partner, about two modes each
+            places = np.zeros((16, 2))
+            for _ in range(2):
+                size, cycles, phase = rng.normal(size=2), rng.uniform(0.5, 2.5), rng.uniform()
+                places += 0.8 * size * np.sin(2.0 * np.pi * (late * cycles + phase))[:, None]
+            places -= places.mean(axis=0)
+            most[n] += np.abs(places).max()
+            shown[n] *= np.exp(side * 1j * frequency @ places.T).mean(axis=1)
+    shift = np.zeros((len(shown), 2))
+    _shifts(shown.real.copy(), shown.imag.copy(), frequency, weight, shift)
+    assert (np.abs(shift).max(axis=1) < most).all()
+    here = (weight * (shown * np.exp(-1j * shift @ frequency.T)).real).sum(axis=1)
+    none = (weight * shown.real).sum(axis=1)
+    assert (here >= none - 1e-9 * np.abs(none)).all()
+
+
+def test_a_fit_is_steep_where_it_is_in_its_flattest_direction():
+    rng = np.random.default_rng(1)
+    for least in (0.5 * STEEP, 0.95 * STEEP, 1.05 * STEEP, 0.9):
+        root, turn = rng.normal(size=(2, 2)), np.linalg.qr(rng.normal(size=(2, 2)))[0]
+        a, c = root @ root.T, root @ turn @ np.diag([least, 1.0]) @ turn.T @ root.T
+        steep = _is_steep(c[0, 0], c[0, 1], c[1, 1], a[0, 0], a[0, 1], a[1, 1])
+        assert steep == (least > STEEP)
 
 
 def test_the_pull_at_a_shift_changes_with_stages_as_its_derivatives_say():

@@ -348,6 +348,13 @@ def _phase_factors(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _is_steep(c11, c12, c22, a11, a12, a22):  # type: ignore[no-untyped-def]
+    """Whether a fit that bends by `c` bends in every direction by STEEP of what it may, `a`, or more."""
+    d11, d12, d22 = c11 - STEEP * a11, c12 - STEEP * a12, c22 - STEEP * a22
+    return d11 > 0.0 and d11 * d22 > d12 * d12
+
+
+@njit(cache=True, nogil=True)
 def _shifts(re, im, frequency, weight, out):  # type: ignore[no-untyped-def]
     """Shift that fits phase factors (N, Q) best, into `out` (N, 2): the nearest top uphill of none.
 
@@ -383,8 +390,8 @@ def _shifts(re, im, frequency, weight, out):  # type: ignore[no-untyped-def]
                 break
             by, bx = (a22 * b1 - a12 * b2) / det, (a11 * b2 - a12 * b1) / det
             height, safe_y, safe_x = here, out[n, 0] + by, out[n, 1] + bx
-            det = c11 * c22 - c12 * c12
-            if c11 > STEEP * a11 and c22 > STEEP * a22 and det > 0.0:
+            if _is_steep(c11, c12, c22, a11, a12, a22):
+                det = c11 * c22 - c12 * c12
                 by, bx = (c22 * b1 - c12 * b2) / det, (c11 * b2 - c12 * b1) / det
             out[n, 0] += by
             out[n, 1] += bx
@@ -453,17 +460,21 @@ def _changes(  # type: ignore[no-untyped-def]
     coefficients = np.empty((stages.shape[0], 3, 3))
     bins = out.shape[4]
     for n in range(len(re)):
-        a11, a12, a22 = 0.0, 0.0, 0.0
+        a11, a12, a22, m11, m12, m22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(q):
             fy, fx = frequency[k, 0], frequency[k, 1]
             phase = fy * shift[n, 0] + fx * shift[n, 1]
             w = weight[k] * (re[n, k] * math.cos(phase) + im[n, k] * math.sin(phase))
+            most = weight[k] * math.hypot(re[n, k], im[n, k])
             a11 += w * fy * fy
             a12 += w * fy * fx
             a22 += w * fx * fx
+            m11 += most * fy * fy
+            m12 += most * fy * fx
+            m22 += most * fx * fx
+        if not _is_steep(a11, a12, a22, m11, m12, m22):
+            continue  # a fit as flat as that goes anywhere: one window of thousands would bend the motion
         det = a11 * a22 - a12 * a12
-        if not det > 0.0:
-            continue
         for p in range(len(shares)):
             m = n * len(shares) + p
             _shown(hub[m], hub_counts[m], y, x, slopes[0], by_y, by_x, of_hub)
