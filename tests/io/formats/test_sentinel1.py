@@ -146,9 +146,12 @@ def test_rates_that_contradict_the_quaternions_are_no_gyro(real_data, tmp_path):
     path.write_text(f'{path.read_text()}[[attitude_sensor]]\nkind = "gyro"\ntable = "gyro.csv"\n')
     # quaternions that stand still: what both leave of each other is even, and an Allan deviation hides it
     still = [rows[0], *([*row[:2], *rows[1][2:6], *row[6:]] for row in rows[1:])]
-    # further than a float's square
-    wild = [rows[0], *([*row[:6], "1e300", *row[7:]] for row in rows[1:])]
-    wrong = ((still, "contradict each other by 0.00"), (wild, "by 1e"), (rows[:3], "three or more"))
+    # further than any rate, and further than a float's square
+    wild, none = ([rows[0], *([*row[:6], rate, *row[7:]] for row in rows[1:])] for rate in ("1e29", "1e300"))
+    wrong = (
+        (still, "contradict each other by 0.00"), (wild, "by 1e"), (none, "no quantity is as large"),
+        (rows[:3], "three or more"),
+    )  # fmt: skip
     for given, said in wrong:
         (tmp_path / "gyro.csv").write_text("".join(",".join(row) + "\n" for row in given))
         with pytest.raises(FormatError, match=said):
