@@ -390,8 +390,8 @@ def _keys_left_out(
         ratio = float(np.sqrt(fewer.prod()))
         if abs(np.log(ratio)) < np.log(UNLIKE) or np.ptp(np.log(fewer)) > np.log(ALIKE):
             continue
-        same = np.abs(np.log(np.array(each) / np.array(own))) < np.log(ALIKE)
-        keys = [key for key, alike in zip(("line_period", "ifov"), same, strict=True) if alike]
+        steps_of = zip(("line_period", "ifov"), each, own, strict=True)
+        keys = [key for key, a, b in steps_of if a < ALIKE * b and b < ALIKE * a]
         if keys:
             count, size = (ratio, "larger") if ratio > 1.0 else (1.0 / ratio, "smaller")
             words = (
