@@ -384,10 +384,18 @@ def test_an_ifov_ten_times_too_small_or_large_is_doubted_aloud(folder, ifov, wid
 def test_keys_that_a_band_of_larger_pixels_lacks_are_asked_for(folder, own, keys):
     write_tif(folder.path / "XS.tif", noise(3, (LINES // 2, COLUMNS // 2)))
     folder.add(f"columns = {COLUMNS // 2}\n{own}\n")
-    acquisition = load_acquisition(folder.write())
-    said = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    said = load_acquisition(folder.write()).doubts
     words = f"XS: 2 times fewer lines and columns than PAN, and the same {keys}: if pixels are larger there, "
-    assert said == ((words + "a [[band]] takes its own",) if keys else ())
+    whole = words + "a [[band]] takes its own line_period, and ifov or directions"
+    assert said == ((whole,) if keys else ())
+
+
+def test_images_of_one_name_are_looked_at_one_by_one(folder):
+    """Frames are called by their files, which may have one name in several folders."""
+    acquisition = load_acquisition(folder.replace("ifov = 5e-6", "ifov = 5e-5").write())
+    camera = acquisition.cameras[0]
+    (said,) = sampling_doubts(acquisition.surface, [camera, camera, camera], ["image", "image", "other"])
+    assert said.startswith("all bands: lines are 3.5 m apart")
 
 
 def test_where_no_ground_is_shared_it_may_be_for_want_of_these_keys(folder):

@@ -18,6 +18,7 @@ from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquisition.acquired import InputFolder, world_kind
 from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform, SurfaceSection
 from sightline.io.formats.dem import Bounds, read_dem
+from sightline.motion.band import Band
 from sightline.motion.measure.windows import exposure_times
 
 Array = NDArray[np.float64]
@@ -361,45 +362,42 @@ def check_sampling(
 def sampling_doubts(
     surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
 ) -> tuple[str, ...]:
-    """What to say of bands whose lines and pixels are of very unlike size on the ground, or of another's."""
-    steps = {name: ground_steps(camera, surface) for name, camera in zip(names, cameras, strict=True)}
-    said = _keys_left_out(cameras, list(steps.items()))
-    unlike = [name for name, (a, b) in steps.items() if max(a, b) >= DOUBTFUL_STEP_RATIO * min(a, b)]
+    """What to say of bands whose lines and pixels are of very unlike size on the ground."""
+    steps = [ground_steps(camera, surface) for camera in cameras]
+    unlike = [k for k, (a, b) in enumerate(steps) if max(a, b) >= DOUBTFUL_STEP_RATIO * min(a, b)]
     if not unlike:
-        return said
+        return ()
     along, across = steps[unlike[0]]
-    of = "all bands" if len(unlike) == len(steps) else ", ".join(unlike)
+    of = "all bands" if len(unlike) == len(steps) else ", ".join(names[k] for k in unlike)
     return (
-        *said,
         f"{of}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} m wide; if that is not "
         f"meant, check {_SAMPLING_KEYS}: with a wrong ifov every angle is wrong by as much",
     )
 
 
-def _keys_left_out(
-    cameras: Sequence[MovingCamera], steps: Sequence[tuple[str, tuple[float, float]]]
-) -> tuple[str, ...]:
+def keys_left_out(surface: Surface, bands: Sequence[Band]) -> tuple[str, ...]:
     """What to say of bands of coarser or finer pixels than the first has that seem to have its keys.
 
     Their images then have as many lines and columns fewer or more, and lines or pixels no larger or smaller.
-    `steps` are names and ground steps of the cameras.
     """
-    (first, own), of = steps[0], dict[str, list[str]]()
-    for camera, (name, each) in zip(cameras[1:], steps[1:], strict=True):
-        fewer = np.array(cameras[0].shape) / np.array(camera.shape)
+    first, of = bands[0], dict[str, list[str]]()
+    own = ground_steps(first.camera, surface)
+    for band in bands[1:]:
+        fewer = np.array(first.camera.shape) / np.array(band.camera.shape)
         ratio = float(np.sqrt(fewer.prod()))
         if abs(np.log(ratio)) < np.log(UNLIKE) or np.ptp(np.log(fewer)) > np.log(ALIKE):
             continue
-        steps_of = zip(("line_period", "ifov"), each, own, strict=True)
-        keys = [key for key, a, b in steps_of if a < ALIKE * b and b < ALIKE * a]
+        sizes = zip(("line_period", "ifov"), ground_steps(band.camera, surface), own, strict=True)
+        keys = [key for key, a, b in sizes if a < ALIKE * b and b < ALIKE * a]
         if keys:
             count, size = (ratio, "larger") if ratio > 1.0 else (1.0 / ratio, "smaller")
             words = (
-                f"{count:.2g} times {'fewer' if ratio > 1.0 else 'more'} lines and columns than {first}, and "
-                f"the same {' and '.join(keys)}: if pixels are {size} there, a [[band]] takes its own"
+                f"{count:.2g} times {'fewer' if ratio > 1.0 else 'more'} lines and columns than "
+                f"{first.name}, and the same {' and '.join(keys)}: if pixels are {size} there, a [[band]] takes "
+                "its own line_period, and ifov or directions"
             )
-            of.setdefault(words, []).append(name)
-    return tuple(f"{', '.join(bands)}: {words}" for words, bands in of.items())
+            of.setdefault(words, []).append(band.name)
+    return tuple(f"{', '.join(names)}: {words}" for words, names in of.items())
 
 
 def ground_steps(camera: MovingCamera, surface: Surface) -> tuple[float, float]:

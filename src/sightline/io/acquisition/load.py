@@ -24,7 +24,6 @@ from sightline.applications.spin_attitude import SpinOptions, seen_again
 from sightline.errors import EstimationError, FormatError, GeometryError, InputError, SightlineError, naming
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
-from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_files, world_kind
 from sightline.io.acquisition.apparent import bent_bands
@@ -37,7 +36,7 @@ from sightline.io.acquisition.ground import (
     check_overlap,
     check_sampling,
     check_seen,
-    sampling_doubts,
+    keys_left_out,
 )
 from sightline.io.acquisition.looks import look_doubts, otherwise_written, sensor_doubts
 from sightline.io.acquisition.model_bands import build_model_bands
@@ -149,6 +148,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
     surface, control = build_surface(config, files, cameras), read_control(config, files, names)
     still = _still(config, files, alone=control is None)
+    left_out = keys_left_out(surface, bands) if bands and not modelled else ()
     bands = bent_bands(config, bands, surface, files)
     cameras[: len(bands)] = [band.camera for band in bands]
     if isinstance(config.platform, SpinPlatform) and frames:
@@ -164,8 +164,10 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
             )  # fmt: skip
             check_sampling(path, surface, cameras, names)
             if len(cameras) > 1:
-                with _sampling_said(surface, cameras, names):
+                try:
                     check_overlap(path, surface, cameras, names, still=bool(still))
+                except GeometryError as error:  # left out keys may be why
+                    raise GeometryError("; ".join([str(error), *left_out])) from error
     reference = cameras[0].trajectory
     sensors = tuple(read_sensor(entry, files, config, reference) for entry in config.attitude_sensor)
     exposed = np.concatenate([camera.times(np.array([0.0, camera.shape[0] - 1.0])) for camera in cameras])
@@ -181,9 +183,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         control_points=control,
         known_motion=read_known_motion(config, files),
         lens=lens_knowledge(config, frames[0].image.shape if frames else None),
-        matching=read_matching(
-            config, files, dict(zip(names, (camera.shape for camera in cameras), strict=True))
-        ),
+        matching=read_matching(config, files, names, [camera.shape for camera in cameras]),
         platform=config.platform.kind,
         world=world_kind(config),
         spin=spin_of(config),
@@ -199,6 +199,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         still=still,
         doubts=(
             *dict.fromkeys(files.doubts),
+            *left_out,
             *look_doubts(config, cameras, names, surface, files.fixed_from_given),
             *sensor_doubts(
                 sensors, (float(exposed.min()), float(exposed.max())), config.platform.attitude_sigma or 0.0
@@ -213,18 +214,6 @@ def _still(config: AcquisitionFile, files: InputFolder, *, alone: bool) -> str:
         return one_band_words(config.band[0].name) if alone else ""
     grid = None if config.frame else shared_grid(files.grids)
     return "" if grid is None else grid.reason
-
-
-@contextmanager
-def _sampling_said(
-    surface: Surface, cameras: Sequence[PushbroomCamera | FrameCamera], names: Sequence[str]
-) -> Iterator[None]:
-    """What is wrong with where images lie ends with what is doubtful of their pixels: it may be why."""
-    try:
-        yield
-    except GeometryError as error:
-        doubts = sampling_doubts(surface, cameras, names)
-        raise GeometryError("; ".join([str(error), *doubts[:1]])) from error
 
 
 @contextmanager
@@ -364,13 +353,13 @@ def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownConte
 
 
 def read_matching(
-    config: AcquisitionFile, files: InputFolder, shapes: Mapping[str, tuple[int, int]]
+    config: AcquisitionFile, files: InputFolder, names: Sequence[str], shapes: Sequence[tuple[int, int]]
 ) -> dict[str, Any]:
     """What ``[matching]`` gives, by the names of ``RecoverOptions``; the selection as one of them.
 
-    `shapes` are lines and columns of the images by their names.
+    `names` and `shapes` (lines, columns) are those of the images.
     """
-    given, names = config.matching.model_dump(exclude_none=True), list(shapes)
+    given = config.matching.model_dump(exclude_none=True)
     chosen = {key: given.pop(key) for key in ("select", "strength", "points", "features") if key in given}
     if "select" not in chosen:
         return given
@@ -382,11 +371,11 @@ def read_matching(
         if unknown:
             raise FormatError(f"{path}: image {unknown[0]!r} is none of: {', '.join(names)}")
         numbers = np.array([names.index(name) for name in images])
-        ends = np.array(list(shapes.values()))[numbers] - 0.5
+        ends = np.array(shapes)[numbers] - 0.5
         outside = np.flatnonzero(((pixels < -0.5) | (pixels > ends)).any(axis=1))
-        for row in outside[:1]:
-            at = "line {:g}, column {:g} of {}, which has {} x {}".format(
-                *pixels[row], images[row], *shapes[images[row]]
+        for row in outside[:1] if not files.absent else ():  # what is not there has no size
+            at = "line {:.10g}, column {:.10g} of {}, which has {} x {}".format(
+                *pixels[row], images[row], *shapes[numbers[row]]
             )
             files.doubts.append(
                 f"{path}: {len(outside)} of {len(images)} features lie outside their images and choose no "

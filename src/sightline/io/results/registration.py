@@ -137,8 +137,8 @@ def _warnings(
             "`recover` kept next to none of its windows, so nothing measured its place, and it may lie many "
             "pixels off; see the warnings of `recover`"
             if band["name"] in compared
-            else "it had no part in that, so that its offset, rotation and scale are as given; how far it "
-            "lies off is in `pairs`"
+            else "no window of it was compared for that, so that no match tells its offset, rotation and "
+            "scale; how far it lies off is in `pairs`"
         )
         for band in bands
         if band["placed_by"] == "motion"

@@ -299,8 +299,8 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: Recov
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone & asked)
     matched = matched[np.argsort(groups[matched], kind="stable")]
     out = [
-        f"{strip.bands[b].name} is in none of the `pairs` that are to be matched: it has no part in the "
-        "motion, and nothing measures its place"
+        f"{strip.bands[b].name} is in none of the `pairs` that are to be matched: no match of it has a part "
+        "in the motion, or measures its place"
         for b in np.flatnonzero(~asked)
     ]
     if len(matched) and len(lost) > 1:
