@@ -391,10 +391,11 @@ def keys_left_out(surface: Surface, bands: Sequence[Band]) -> tuple[str, ...]:
         keys = [key for key, a, b in sizes if a < ALIKE * b and b < ALIKE * a]
         if keys:
             count, size = (ratio, "larger") if ratio > 1.0 else (1.0 / ratio, "smaller")
+            what = " and ".join(keys)
             words = (
                 f"{count:.2g} times {'fewer' if ratio > 1.0 else 'more'} lines and columns than "
-                f"{first.name}, and the same {' and '.join(keys)}: if pixels are {size} there, a [[band]] takes "
-                "its own line_period, and ifov or directions"
+                f"{first.name}, and the same {what}: if pixels are {size} there, a [[band]] takes its own "
+                "line_period, and ifov or directions"
             )
             of.setdefault(words, []).append(band.name)
     return tuple(f"{', '.join(names)}: {words}" for words, names in of.items())
