@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from sightline.errors import UnobservableBandWarning, printable, shortened
+from sightline.errors import SightlineError, UnobservableBandWarning, printable, shortened
 from sightline.execution import Progress, time_words
 
 if TYPE_CHECKING:
@@ -194,7 +194,6 @@ def announce(cost: Cost) -> None:
 @contextmanager
 def with_doubts(acquired: Acquisition) -> Iterator[None]:
     """Where what is done with an acquisition fails, say first what of it is suspicious: it may be why."""
-    from sightline.errors import SightlineError
     from sightline.io.acquisition.describe import what_is_doubtful
 
     try:

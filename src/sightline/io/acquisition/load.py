@@ -148,7 +148,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
     surface, control = build_surface(config, files, cameras), read_control(config, files, names)
     still = _still(config, files, alone=control is None)
-    left_out = keys_left_out(surface, bands) if bands and not modelled else ()
+    left_out: tuple[str, ...] = ()
     bands = bent_bands(config, bands, surface, files)
     cameras[: len(bands)] = [band.camera for band in bands]
     if isinstance(config.platform, SpinPlatform) and frames:
@@ -163,6 +163,8 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
                 otherwise=lambda camera: otherwise_written(config, camera, surface, files.fixed_from_given),
             )  # fmt: skip
             check_sampling(path, surface, cameras, names)
+            if bands and not modelled:
+                left_out = keys_left_out(surface, bands)
             if len(cameras) > 1:
                 try:
                     check_overlap(path, surface, cameras, names, still=bool(still))
