@@ -36,10 +36,11 @@ SOURCE = ROOT / "src"
 DOCUMENT = ROOT / "docs" / "validation.md"
 #: Scripts without figures: helpers.
 HELPERS = ("gates", "point_flights")
-#: Layers on which no figure hangs: words, files, where work runs.
+#: Layers on which no figure hangs: words, files, where work runs; and modules that judge an estimate which
+#: was made without them.
 ASIDE = frozenset(
     "version errors inputs result access execution compiled writing output stages io report kinds cli "
-    "__main__".split()
+    "__main__ motion.strip.withheld".split()
 )
 OLDER = "Older than the code that it measures: that has changed since."
 BLOCK = re.compile(
@@ -242,11 +243,15 @@ def measured(script: Path) -> set[Path]:
         for path in _imported(to_read.pop()) - seen:
             seen.add(path)
             inside = path.is_relative_to(SOURCE)
-            if not inside or path.relative_to(SOURCE / "sightline").with_suffix("").parts[0] not in ASIDE:
+            if not inside or not _is_aside(path.relative_to(SOURCE / "sightline").with_suffix("").parts):
                 to_read.append(path)
                 if inside:
                     found.add(path)
     return {path for path in found if path is not None}
+
+
+def _is_aside(parts: tuple[str, ...]) -> bool:
+    return not ASIDE.isdisjoint({parts[0], ".".join(parts)})
 
 
 @functools.cache

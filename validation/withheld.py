@@ -28,6 +28,8 @@ from sightline.motion.strip.strip import RecoverOptions
 from sightline.motion.strip.withheld import WithheldAxis
 from sightline.simulate.scenarios import line_of_sight_case
 
+MEASURES = ("sightline.motion.strip.withheld",)
+
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA")) / "s2_l1b_bands"
 #: Of the crops: order of the file's bands, seconds after B02 (or before it, in scenes of the other sign).
 BANDS = {"B02": (1, 0.0), "B03": (2, 0.527), "B04": (3, 1.005), "B08": (4, 0.264)}

@@ -4,7 +4,7 @@ Strips that were read with pixels beside the image say most (``imaging/strip_noi
 what the scatter of their pixels shows at their own signals; frames without light give the level of
 each column and the noise at rest. All that is known of A, B and C^2 then goes into one fit.
 
-Not here: how each is estimated (``imaging/noise_estimation.py``), files (``io/noise_toml.py``).
+Not here: how each is estimated (``imaging/noise_estimation.py``), files (``io/results/noise.py``).
 """
 
 from __future__ import annotations

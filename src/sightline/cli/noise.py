@@ -48,7 +48,8 @@ def noise(
         typer.Option(
             "--electrons-per-dn",
             metavar="GAIN",
-            help="The conversion gain, from somewhere else: noise in electrons. Without it, in DN.",
+            help="The conversion gain, from somewhere else: noise in electrons. Without it in DN, but of "
+            "photon transfer, which measures it.",
         ),
     ] = None,
     stages: Annotated[

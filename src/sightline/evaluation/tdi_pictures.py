@@ -4,7 +4,7 @@ Each crop is a narrow group of columns that move and are set as one column of th
 setting and once by that of the centre column. MTF is measured on slanted edges and SNR on a flat patch, as on
 any image; what the closed forms predict stands beside them.
 
-Not here: the imaging (``simulate/tdi_strip.py``), pages (``report/tdi_pictures.py``).
+Not here: the imaging (``simulate/tdi_strip.py``), pages (``report/tdi_page.py``).
 """
 
 from __future__ import annotations

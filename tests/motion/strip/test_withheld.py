@@ -28,6 +28,7 @@ from sightline.motion.strip.withheld import (
     compared,
     contradictions,
     judged,
+    unjudged,
 )
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -120,6 +121,39 @@ def test_without_being_asked_pairs_that_were_matched_through_a_third_band_are_lo
     low, high = chi2.ppf([5e-4, 1.0 - 5e-4], samples) / samples
     assert low / 1.2 < squares / samples < high * 1.2
     assert recovery.summary["withheld"][0]["pair"] == list(result.withheld[0].pair)
+
+
+@pytest.fixture(scope="module")
+def unlike():
+    """A panchromatic band and two colours of pixels four times as large, recovered in two passes."""
+    case = line_of_sight_case(
+        "nominal", 3, lines=1200, columns=480, lags=(0.0, 0.15, 0.1574), pixel_ratios=(1.0, 4.0, 4.0),
+        names=("PAN", "B", "R"), gains=(1.0, 0.9, 0.8), gammas=(1.0, 1.0, 1.0), snr=100.0,
+    )  # fmt: skip
+    strip, options = ready_strip(case.as_given(), Plane(0.0), (), None, None, RecoverOptions(passes=2))
+    strip, state, result = joint_line_of_sight(strip, options, 0.0, silent)
+    return strip, options, state, result
+
+
+def test_pairs_of_unlike_pixels_are_looked_at_on_the_grid_of_the_coarser(unlike):
+    strip, options, state, result = unlike
+    assert {one.pair for one in result.withheld} == {("PAN", "R")}
+    for one in result.withheld:
+        low, high = chi2.ppf([5e-4, 1.0 - 5e-4], one.samples) / one.samples
+        assert one.samples > LEAST_WINDOWS and low / 1.2 < one.nees < high * 1.2
+    # whichever is named first
+    there, back = (
+        compared(strip, state, options, p, 60, found_cameras(strip, state)) for p in ((0, 2), (2, 0))
+    )
+    assert (there.star.hub, there.star.images) == (back.star.hub, back.star.images) == (2, (0,))
+    assert np.array_equal(there.error_px, back.error_px, equal_nan=True)
+
+
+def test_a_pair_that_was_asked_for_and_judges_nothing_is_named():
+    axis = WithheldAxis(("B", "R"), "along", 50, 50.0, 1.0, 0.95, 0.02, 0.02, 0.01, True)
+    assert unjudged((("R", "B"),), (axis,)) == unjudged((), ()) == ()
+    (said,) = unjudged((("R", "B"), ("G", "B")), (axis,))
+    assert said.startswith("--withhold G B: fewer than 10 windows")
 
 
 def dense_variance(state, rows, beside) -> np.ndarray:

@@ -95,7 +95,7 @@ def _hidden(
     if stated is None:
         return None, None, (
             f"the result does not say how much of its hidden directions ({', '.join(names)}) there may be: "
-            "they are taken for nothing; run `sightline recover` again, or give [motion] slip_sigma",
+            "they are taken for nothing; run `sightline recover` again, or give [columns] sigma_slip",
         )  # fmt: skip
     try:
         covariance = np.array(stated, dtype=np.float64)

@@ -24,7 +24,7 @@ from sightline.estimation.robust import robust_sigmas
 from sightline.matching.match_images import match_images
 from sightline.matching.whitening import Whitening
 from sightline.motion.measure.common_view import Views, common_views, usable
-from sightline.motion.measure.laid_strips import laid_on
+from sightline.motion.measure.laid_strips import groups_of_pixels, laid_on, ratio_to_finest
 from sightline.motion.measure.match_noise import robust_weights, single_errors
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.predict import MovingCamera
@@ -120,6 +120,17 @@ def contradictions(
     return tuple(said)
 
 
+def unjudged(asked: Sequence[tuple[str, str]], withheld: Sequence[WithheldAxis]) -> tuple[str, ...]:
+    """Warnings of pairs (names of bands) that were asked for and judge nothing."""
+    judging = {frozenset(one.pair) for one in withheld}
+    return tuple(
+        f"--withhold {a} {b}: fewer than {LEAST_WINDOWS} windows of these bands match where the motion puts "
+        "them, so they judge nothing; leave out a pair whose images are more alike"
+        for a, b in asked
+        if frozenset((a, b)) not in judging
+    )
+
+
 def withheld_numbers(strip: Strip, pairs: Sequence[tuple[str, str]]) -> list[tuple[int, int]]:
     """The pairs that are to be left out, as numbers of bands; InputError where one cannot be."""
     names = [band.name for band in strip.bands]
@@ -180,12 +191,15 @@ def _view(strip: Strip, a: int, b: int) -> Views:
 
 
 def unused_pairs(strip: Strip, records: Sequence[StarRecord]) -> list[tuple[int, int]]:
-    """Pairs of bands that were both matched with windows of a third; neighbours first."""
+    """Pairs of bands that were both matched with windows of a third; neighbours first.
+
+    Not necessarily with the same windows: unlike pixels of a third band's partners part its ground.
+    """
     count = len(strip.bands)
-    through = np.zeros((count, count), dtype=int)
+    by_hub = np.zeros((count, count), dtype=int)
     for record in records:
-        seen = record.star.present.astype(int)
-        through[np.ix_(record.star.images, record.star.images)] += seen.T @ seen
+        by_hub[record.star.hub, list(record.star.images)] += record.star.present.sum(axis=0)
+    through = np.minimum(by_hub[:, :, None], by_hub[:, None, :]).max(axis=0)
     pairs = [(a, a + apart) for apart in range(1, count) for a in range(count - apart)]
     checkable = (pair for pair in pairs if through[pair] >= LEAST_WINDOWS and _view(strip, *pair))
     return list(islice(checkable, SAMPLE_PAIRS))
@@ -260,9 +274,10 @@ def compared(
 
     `cameras` carry the motion and the statics of the state.
     """
-    hub, partner = pair
-    view = _view(strip, hub, partner)
-    record = _matched(strip, state, options, pair, view[0, 1], most, cameras)
+    grains = groups_of_pixels(strip.nominal)
+    hub, partner = sorted(pair, key=lambda image: grains[image])  # the coarser one is the matching grid
+    view = common_views([strip.nominal[hub], strip.nominal[partner]], strip.surface)
+    record = _matched(strip, state, options, (hub, partner), view[0, 1], most, cameras)
     if record is None:
         return None
     star, estimate = record.star, state.estimate
@@ -416,11 +431,11 @@ def _matched(
     None where the estimate used the pair itself everywhere.
     """
     hub, partner = pair
-    plan = strip.plan(options, options.window, options.step)
+    plan = strip.plan(options, options.window, options.step).coarser(ratio_to_finest(strip.nominal, hub))
     images = [band.image for band in strip.bands]
     shape = images[hub].shape
     whole = plan.grid(shape, usable(view, shape[1]))
-    apart = max(-(-whole.window[0] // options.step), 1)
+    apart = max(-(-whole.window[0] // plan.step), 1)
     lines = whole.lines[::apart]
     camera = strip.nominal[hub]
     used = _used_exposures(state.records, pair, directly=True)
