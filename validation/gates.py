@@ -36,11 +36,11 @@ SOURCE = ROOT / "src"
 DOCUMENT = ROOT / "docs" / "validation.md"
 #: Scripts without figures: helpers.
 HELPERS = ("gates", "point_flights")
-#: Layers on which no figure hangs: words, files, where work runs; and modules that judge an estimate which
-#: was made without them.
+#: Layers on which no figure hangs: words, files, where work runs; and modules that say of an estimate how far
+#: it can be trusted, and have no part in it.
 ASIDE = frozenset(
     "version errors inputs result access execution compiled writing output stages io report kinds cli "
-    "__main__ motion.strip.withheld".split()
+    "__main__ motion.strip.warnings motion.strip.withheld".split()
 )
 OLDER = "Older than the code that it measures: that has changed since."
 BLOCK = re.compile(

@@ -43,6 +43,8 @@ from sightline.geometry.surface import Plane
 from sightline.motion.band import Band
 from sightline.simulate.scenarios import line_of_sight_case
 
+MEASURES = ("sightline.motion.strip.warnings",)
+
 Array = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw")
 LAGS = (0.0, 0.150, 0.1574, 0.1722)

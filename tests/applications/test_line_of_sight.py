@@ -38,10 +38,11 @@ from sightline.motion.measure.windows import window_grid
 from sightline.motion.strip.estimate import initial_attitude
 from sightline.motion.strip.hyper import PriorModel
 from sightline.motion.strip.joint import JointPrior, less_directions, solve_joint
+from sightline.motion.strip.lost_bands import like_none
 from sightline.motion.strip.normal_equations import GroundOrder, normal_equations
 from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.motion.strip.viewing_axes import turned_directions
-from sightline.motion.strip.warnings import _lost_windows, like_none
+from sightline.motion.strip.warnings import _lost_windows
 from sightline.simulate.scenarios import line_of_sight_case
 
 SHAPE = (300, 220)

@@ -263,10 +263,20 @@ def test_choices_of_matching_that_do_not_fit_are_refused(folder, text, words):
         ("5,5", "'5,5' has a decimal comma: numbers are written with a decimal point, 5.5"),
         ("0,00042 # s", "'0,00042' has a decimal comma: numbers are written with a decimal point, 0.00042"),
         ("5e-4 ms", "5e-4 ms: numbers are written without units"),
+        (".5 ms # s", "unless the name of the key says otherwise; .5 ms is 0.0005"),
+        (
+            "3 lines",
+            "3 lines: numbers are written without units, in SI units and rad unless the name of the key "
+            "says otherwise",
+        ),
+        ("5e-06\nline_period = 5e-06", "line_period stands twice in its table: keep one of the two"),
+        ("5e-4\n[acquisition]", "[acquisition] stands twice: put all of its keys under one"),
+        ('5e-4\nmask = "C:\\data\\m.tif"', r"write a path with / or \\, or in single quotes"),
+        ('5e-4\nmask = "C:\\users\\m.tif"', r"write a path with / or \\, or in single quotes"),
         ("'", "correct it there"),
     ],
 )
-def test_decimal_commas_and_units_in_toml_are_recognised(folder, written, words):
+def test_usual_mistakes_in_toml_are_recognised(folder, written, words):
     said = message(folder.replace("line_period = 5e-4", f"line_period = {written}"))
     assert ("not valid TOML" in said and said.endswith(words)) or words in said
 

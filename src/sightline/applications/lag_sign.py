@@ -32,8 +32,9 @@ from sightline.motion.band import Band
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.results import LineOfSight
 from sightline.motion.statics import recovered_cameras
+from sightline.motion.strip.lost_bands import pair_tells
 from sightline.motion.strip.strip import RecoverOptions
-from sightline.motion.strip.warnings import FAR_OFF, pair_tells
+from sightline.motion.strip.warnings import FAR_OFF
 
 Array = NDArray[np.float64]
 

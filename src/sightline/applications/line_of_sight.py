@@ -54,12 +54,13 @@ from sightline.motion.results import (
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.alternatives import mistake
 from sightline.motion.strip.checks import check_images, checked, farthest_control, farthest_sensor
-from sightline.motion.strip.control_only import alone, check_alone, solve_by_control
+from sightline.motion.strip.control_only import alone, check_alone, controlled_lines, solve_by_control
 from sightline.motion.strip.estimate import (
     DRAFT_ROUNDS,
     ROUNDS,
     StripState,
     initial_attitude,
+    observed_lines,
     solve_strip,
     with_blur_errors,
 )
@@ -74,6 +75,7 @@ from sightline.motion.strip.joint import (
     nodes_on,
     variance_between_nodes,
 )
+from sightline.motion.strip.lost_bands import ENOUGH_KEPT, like_none, spoilt_hub, without_lost
 from sightline.motion.strip.methods import by_method, check_method, strip_differences
 from sightline.motion.strip.relief import RowRelief
 from sightline.motion.strip.shape import (
@@ -92,16 +94,7 @@ from sightline.motion.strip.viewing_axes import (
     turned_spectra,
     turned_star,
 )
-from sightline.motion.strip.warnings import (
-    ENOUGH_KEPT,
-    control_warnings,
-    controlled_lines,
-    like_none,
-    observed_lines,
-    spoilt_hub,
-    strip_warnings,
-    without_lost,
-)
+from sightline.motion.strip.warnings import control_warnings, strip_warnings
 from sightline.motion.strip.withheld import contradictions, judged, withheld_numbers, without_pairs
 from sightline.motion.tones import hann
 from sightline.result import makes_result

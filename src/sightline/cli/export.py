@@ -54,7 +54,7 @@ def export(
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
-    """Write a result as CSM state, ISD, RPC, CCSDS message, C kernel, GLT, item of STAC, ..."""
+    """Write a result as CSM state, ISD, RPC, CCSDS message, C kernel, IGM with GLT, item of STAC, ..."""
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import answered, progress, say
     from sightline.errors import InputError, failing_numbers

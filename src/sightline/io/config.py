@@ -7,6 +7,7 @@ Not here: what the keys mean (``io/acquisition/schema.py``), opening the files t
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -59,6 +60,14 @@ _LISTED = 8
 _OWNERS = 2
 #: Characters of a key that a message repeats.
 _LONGEST_KEY = 80
+
+#: SI units and rad in those that stand behind numbers.
+UNITS = {
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6, "m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3,
+    "um": 1e-6, "\u00b5m": 1e-6, "Hz": 1.0, "kHz": 1e3, "rad": 1.0,
+    "mrad": 1e-3, "urad": 1e-6, "\u00b5rad": 1e-6,
+    "deg": math.pi / 180.0, "\u00b0": math.pi / 180.0, "arcsec": math.pi / 648000.0,
+}  # fmt: skip
 
 #: Values of ``kind`` by table: pydantic names the one it tried in the place of a mistake.
 KINDS = {
@@ -127,20 +136,34 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _meant(text: str, error: tomllib.TOMLDecodeError) -> str:
-    """What to do about a line that is no TOML: numbers with decimal commas or units are recognised."""
+    """What to do about a line that is no TOML: keys that stand twice, paths of Windows, numbers with decimal
+    commas or units are recognised."""
     place = re.search(r"line (\d+)", str(error))
     lines = text.splitlines()
     number = min(int(place[1]), len(lines)) if place else 0
     line = lines[number - 1] if number else ""
+    if "overwrite a value" in str(error):
+        return (
+            f"{line.partition('=')[0].strip()[:_LONGEST_KEY]} stands twice in its table: keep one of the two"
+        )
+    if "twice" in str(error):
+        return f"{line.strip()[:_LONGEST_KEY]} stands twice: put all of its keys under one"
+    if "\\" in line and re.search(r"\\|hex", str(error)):
+        return (
+            r"in quotation marks \ begins a special character: write a path with / or \\, or in single quotes"
+        )
     value = re.search(r"[=\[,]\s*([-+]?\d+),(\d+(?:[eE][-+]?\d+)?)\s*(?:#.*)?$", line)
     if value is not None:
         given, right = f"{value[1]},{value[2]}", f"{value[1]}.{value[2]}"
         return f"{given!r} has a decimal comma: numbers are written with a decimal point, {right}"
-    value = re.search(r"=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([A-Za-z%\u00b0\u00b5]+\S*)\s*(?:#.*)?$", line)
+    size = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![eE][-+]?\d)"
+    value = re.search(rf"=\s*{size}\s*([A-Za-z%\u00b0\u00b5]+\S*)\s*(?:#.*)?$", line)
     if value is not None:
+        given, unit = f"{value[1]} {value[2]}", UNITS.get(value[2])
+        instead = f"; {given} is {float(value[1]) * unit:.9g}" if unit else ""
         return (
-            f"{value[1]} {value[2]}: numbers are written without units, in SI units and rad unless the name "
-            f"of the key says otherwise: {value[1]}"
+            f"{given}: numbers are written without units, in SI units and rad unless the name of the key "
+            f"says otherwise{instead}"
         )
     return "correct it there"
 

@@ -39,3 +39,14 @@ def test_relief_of_another_image_is_refused(tmp_path, entry):
 def test_relief_that_is_missing_asks_for_another_run(tmp_path):
     with pytest.raises(FormatError, match=r"relief.csv: is missing, .* run `sightline recover` again"):
         read_relief(tmp_path, {"relief": {"image": "G"}}, ("B", "G"))
+
+
+def test_relief_with_rows_cut_off_is_refused(tmp_path):
+    write_relief(tmp_path / "relief.csv", FOUND)
+    rms = float(np.sqrt(np.mean(FOUND.heights[:, 0] ** 2)))
+    entry = {"image": "G", "rms_height": rms}
+    assert read_relief(tmp_path, {"relief": entry}, ("B", "G")) is not None
+    rows = (tmp_path / "relief.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "relief.csv").write_text("".join(rows[:-1]))
+    with pytest.raises(FormatError, match=r"heights are 2\.57\d+ m rms, where .* says 3\.12\d+ m: rows are"):
+        read_relief(tmp_path, {"relief": entry}, ("B", "G"))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +16,9 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
+from sightline.motion.strip import warnings
 from sightline.motion.strip.alternatives import Cause, Reversed, alternative, exchanged_bands, mistake
-from sightline.motion.strip.strip import RecoverOptions
+from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.simulate.scenarios import line_of_sight_case
 
 
@@ -177,6 +180,23 @@ def test_two_lost_bands_with_each_others_images_are_named_together(scene) -> Non
     assert said == (
         "B1 and B2 match nothing: the image of B1 matches as that of B2, and B2's as B1's: exchange them"
     )
+
+
+def test_a_lost_band_whose_image_another_was_found_with_is_named_with_it(scene, monkeypatch) -> None:
+    """A wide search finds B2's image in the place of B1's, far off; B1's image is lost."""
+    bands = exchange([described(scene, k) for k in range(4)], (0, 3, 2, 1))
+    strip = prepared(bands, Plane(0.0), RecoverOptions())
+    kept = np.full((4, 4), 100) * (1 - np.eye(4, dtype=int))
+    tried, kept[3], kept[:, 3] = kept.copy(), 0, 0
+    monkeypatch.setattr(warnings, "pairs_compared", lambda *_: (tried, kept))
+    for px, said in (
+        (16.0, "B1 and B2 match nothing, or far from their places: the image of B1"),
+        (1.0, "B2 matches nothing"),
+    ):
+        statics = [px if p.name == "B1 offset along" else 0.0 for p in strip.parameters]
+        state: Any = SimpleNamespace(records=(), estimate=SimpleNamespace(statics=np.array(statics)))
+        (words,) = warnings._unmatched_bands(strip, state, RecoverOptions())
+        assert words.startswith(said)
 
 
 def test_a_third_lost_band_keeps_its_own_words() -> None:

@@ -18,18 +18,18 @@ from sightline.matching.matches import KEPT, LOW_SCORE, OUTSIDE
 from sightline.motion.band import Band
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
+from sightline.motion.strip.lost_bands import compared_through, without_lost
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.motion.strip.warnings import (
     _far_off,
     _hidden_by_stages,
     _large_hidden,
+    _other_speed,
     _unsettled,
     _why_unmatched,
     blind_warnings,
-    compared_through,
     out_of_step,
-    without_lost,
 )
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -69,6 +69,23 @@ def test_what_was_found_far_from_what_was_given_is_named():
     # where nothing is given, yaw may turn as fast as its motion does
     wide = SimpleNamespace(constant_sigma=(1e-5, 1e-5, 1e-3), drift_sigma=(1e-5, 1e-5, 0.02))
     assert _far_off(strip, state(2.5, -7.5e-4, 2.5e-3, prior=wide), drifting) == []
+
+
+def test_an_even_rate_of_pitch_that_a_wrong_speed_would_look_like_is_said():
+    scene = line_of_sight_case("nominal", 0, lines=200, columns=80)
+    strip = prepared(scene.as_given(), Plane(0.0), RecoverOptions())
+    # the ground passes by a pixel of 5 urad in .5 ms
+    t = np.arange(3.0)
+
+    def turning(rate: float) -> Motion:
+        return Motion(t, np.outer(t, [0.02, rate, 0.02]))
+
+    assert _other_speed(strip, turning(2.5e-4)) == []
+    (said,) = _other_speed(strip, turning(-5e-4))
+    assert said.startswith("pitch turns evenly by -0.0005 rad/s, 5 % of the rate")
+    # what ties the attitude tells it from a wrong speed
+    sensors: Any = ("gyro",)
+    assert _other_speed(replace(strip, sensors=sensors), turning(-5e-4)) == []
 
 
 @pytest.mark.parametrize(("of_c", "left"), [(7, 0), (60, 60)])

@@ -288,6 +288,11 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         )
     if not acquisition.sensors and acquisition.control_points is None:
         lines.append("attitude sensors or control points: without them sigma_absolute is infinite")
+    if acquisition.bands and all(band.camera.stages is None for band in acquisition.bands):
+        lines.append(
+            "stages: none are given, so every line is taken for one exposure of its line_period; of a TDI "
+            "detector give each [[band]] its stages, which no image tells"
+        )
     if acquisition.assumed:
         lines.append(
             f"[surface] {' and '.join(acquisition.assumed)}: not given but assumed; give height and "

@@ -15,7 +15,7 @@ from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.results.line_of_sight import peak_memory
 from sightline.io.results.recovered import Recovered
 from sightline.io.results.registered import Written
-from sightline.motion.strip.warnings import pair_tells
+from sightline.motion.strip.lost_bands import pair_tells
 from sightline.products.band_fit import BandFit
 from sightline.products.image_map import MAP_TOLERANCE
 from sightline.products.register_bands import MASK_SHARE

@@ -62,6 +62,13 @@ def read_relief(folder: Path, summary: Mapping[str, Any], images: Sequence[str])
     table = read_columns(path, COLUMNS)
     columns = [np.asarray(table[key], dtype=np.float64) for key in COLUMNS]
     check_times(path, columns[0])
+    rms, wrote = float(np.sqrt(np.mean(columns[1] ** 2))), entry.get("rms_height")
+    # 9 digits are written
+    if isinstance(wrote, float) and not np.isclose(rms, wrote, rtol=1e-6, atol=1e-9):
+        raise FormatError(
+            f"{path}: its heights are {rms:.6g} m rms, where {place} says {wrote:.6g} m: rows are missing, "
+            "or of another result; give the folder as `recover` wrote it, or run it again"
+        )
     return RowRelief(
         list(images).index(name), columns[0], np.column_stack(columns[1:3]), np.column_stack(columns[3:])
     )

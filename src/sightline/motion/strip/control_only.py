@@ -26,6 +26,7 @@ from sightline.estimation.prior import ORDERS, Component, Matern, Order, Spectru
 from sightline.estimation.robust import doubted_weights
 from sightline.estimation.search import ORDER
 from sightline.motion.band import Band
+from sightline.motion.measure.windows import near_instants
 from sightline.motion.results import ControlFit
 from sightline.motion.sensors import ControlSightings
 from sightline.motion.strip.estimate import StripState, gauge, initial_attitude, reweighted_rows, sensor_rows
@@ -542,3 +543,11 @@ class _Likelihood:
                 p * float((w * change).sum()) for p, w in zip(power[k], weighted, strict=True)
             )
         return value, gradient + self.trust @ off
+
+
+def controlled_lines(strip: Strip, fit: ControlFit, t: Array) -> NDArray[np.bool_]:
+    """Lines of a strip of one band beside a control point: within a node of the finest grid."""
+    camera = strip.nominal[0]
+    first, last = camera.times(np.array([0.0, camera.lines - 1.0]))
+    period = abs(float(last - first)) / (camera.lines - 1)
+    return near_instants(fit.t[fit.kept], t, RecoverOptions().grid_lines * period)

@@ -21,6 +21,7 @@ from sightline.motion.measure.consensus import ground_weights
 from sightline.motion.measure.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.measure.observations import Star, shared_image_correlation
 from sightline.motion.measure.stars import StarRecord, blurred_by
+from sightline.motion.measure.windows import near_instants
 from sightline.motion.strip.fusion import (
     UNSEEN_PX,
     SensorRows,
@@ -331,6 +332,16 @@ def matched_span(stars: Sequence[Star]) -> tuple[float, float]:
                 first, last = min(first, times.min(initial=np.inf)), max(last, times.max(initial=-np.inf))
         let_go()
     return float(first), float(last)
+
+
+def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool_]:
+    """Lines within half a window, and half a step of the grid, of an instant at which a match was exposed."""
+    marks = []
+    for record in state.records:
+        star, present = record.star, record.star.present
+        marks += [star.t_hub[present.any(axis=1)], star.t[present]]
+    reach = 0.5 * (max(r.star.longest for r in state.records) + strip.grid.step)
+    return near_instants(np.concatenate(marks), t, reach)
 
 
 def _longest_lag(star: Star) -> float:

@@ -7,18 +7,17 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sightline.estimation.prior import Matern
 from sightline.estimation.search import SEEN_THROUGH
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
-from sightline.motion.estimators.differences import YAW
+from sightline.matching.matches import KEPT, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
+from sightline.motion.estimators.differences import PITCH, YAW
 from sightline.motion.measure.laid_strips import groups_of_pixels
 from sightline.motion.measure.stars import StarRecord
-from sightline.motion.measure.windows import near_instants
 from sightline.motion.observability import blind_together
 from sightline.motion.results import ControlFit
 from sightline.motion.statics import ALONG
@@ -29,6 +28,12 @@ from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.hidden import likely_modes
 from sightline.motion.strip.hyper import ATTITUDE_SIGMA, NOT_FAR, RATE_SIGMA
 from sightline.motion.strip.joint import JointEstimate
+from sightline.motion.strip.lost_bands import (
+    ENOUGH_KEPT,
+    FEWEST_KEPT,
+    pair_tells,
+    pairs_compared,
+)
 from sightline.motion.strip.shape import shape_warnings
 from sightline.motion.strip.strip import RecoverOptions, Strip
 from sightline.motion.strip.viewing_axes import turned_spectra
@@ -37,10 +42,6 @@ Array = NDArray[np.float64]
 
 #: A sensor whose residuals are so many times its sigma is worth a warning.
 DOUBTFUL = 2.0
-#: Fewer windows than this share kept at the end are worth a warning.
-ENOUGH_KEPT = 0.5
-#: A pair that keeps fewer windows, or a smaller share of those compared, tells nothing: false matches do so.
-FEWEST_KEPT, LEAST_SHARE = 10, 0.1
 #: Matches that span less than this share of the field hardly tell yaw.
 ENOUGH_FIELD = 0.3
 
@@ -57,36 +58,15 @@ LARGE_HIDDEN_PX = 0.2
 #: than so much of the likeliest are not named.
 WORTH_SAYING, MAIN = 0.05, 0.1
 
-#: Of the windows of a wide search chance keeps up to an eighth: a band that keeps no more than this share in
-#: any pair looks like none.
-HARDLY = 0.25
-#: Share of all windows that such a band costs at least where it is put last.
-MUCH = 0.1
-
 #: px; jitter that one detector line hardly ever has.
 WILD_PX = 5.0
 #: Sigmas stated beforehand by which what was found may be off, unsaid.
 FAR_OFF = 3.0
+#: Of the rate at which the ground passes, an even rate of pitch as a wrong speed would look like: that bends
+#: short strips by some sigmas.
+OTHER_SPEED = 0.03
 #: Sigmas of an offset along by which it may differ from that of a band with another one's image.
 AS_EXCHANGED = 2.0
-
-
-def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool_]:
-    """Lines within half a window, and half a step of the grid, of an instant at which a match was exposed."""
-    marks = []
-    for record in state.records:
-        star, present = record.star, record.star.present
-        marks += [star.t_hub[present.any(axis=1)], star.t[present]]
-    reach = 0.5 * (max(r.star.longest for r in state.records) + strip.grid.step)
-    return near_instants(np.concatenate(marks), t, reach)
-
-
-def controlled_lines(strip: Strip, fit: ControlFit, t: Array) -> NDArray[np.bool_]:
-    """Lines of a strip of one band beside a control point: within a node of the finest grid."""
-    camera = strip.nominal[0]
-    first, last = camera.times(np.array([0.0, camera.lines - 1.0]))
-    period = abs(float(last - first)) / (camera.lines - 1)
-    return near_instants(fit.t[fit.kept], t, RecoverOptions().grid_lines * period)
 
 
 def _spanned_field(strip: Strip, records: Sequence[StarRecord]) -> float:
@@ -107,6 +87,15 @@ def _spanned_field(strip: Strip, records: Sequence[StarRecord]) -> float:
     if len(seen) == 0 or max(ends) <= min(ends):
         return 0.0
     return float(np.quantile(np.concatenate(high), 0.95) - np.quantile(seen, 0.05)) / (max(ends) - min(ends))
+
+
+def _off_along(strip: Strip, state: StripState) -> Array:
+    """(bands,) sigmas of its offset along by which each lies off its place; 0 of one that is exact."""
+    found = {
+        parameter.name: abs(float(value)) / parameter.sigma
+        for parameter, value in zip(strip.parameters, state.estimate.statics, strict=True)
+    }
+    return np.array([found.get(f"{band.name} {ALONG}", 0.0) for band in strip.bands])
 
 
 def _lost_windows(records: Sequence[StarRecord]) -> str:
@@ -282,100 +271,39 @@ def _hidden_by_stages(strip: Strip, state: StripState, motion: Motion) -> list[s
     ]
 
 
-def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
-    """Whether pairs that kept so many windows of those tried measure anything; false matches alone do not."""
-    kept, tried = np.asarray(kept), np.asarray(tried)
-    return np.asarray((kept >= FEWEST_KEPT) & (kept >= LEAST_SHARE * tried))
-
-
-def _unmatched_bands(strip: Strip, records: Sequence[StarRecord], options: RecoverOptions) -> list[str]:
+def _unmatched_bands(strip: Strip, state: StripState, options: RecoverOptions) -> list[str]:
     """Bands none of whose pairs keeps enough windows, and the one mistake that is why where there is one."""
-    compared, kept = _pairs_compared(records, len(strip.bands))
+    records = state.records
+    compared, kept = pairs_compared(records, len(strip.bands))
     named = {name for pair in options.pairs for name in pair} or {band.name for band in strip.bands}
     asked = np.array([band.name in named for band in strip.bands])
     alone = np.asarray(~pair_tells(kept, compared).any(axis=1))
     # those of coarse pixels first, whose windows are compared with those of fine ones
     groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone & asked)
-    matched = matched[np.argsort(groups[matched], kind="stable")]
+    # and of these what lies nearest to where it should: a wide search finds another band's image too
+    off = _off_along(strip, state)
+    matched = matched[np.lexsort((off[matched], groups[matched]))]
     out = [
         f"{strip.bands[b].name} is in none of the `pairs` that are to be matched: no match of it has a part "
         "in the motion, or measures its place"
         for b in np.flatnonzero(~asked)
     ]
-    if len(matched) and len(lost) > 1:
-        some = [strip.bands[b] for b in (matched[0], *lost)]
+    doubtful = sorted([*lost, *(b for b in matched[1:] if off[b] > FAR_OFF)])
+    if len(matched) and len(lost) and len(doubtful) > 1:
+        some = [strip.bands[b] for b in (matched[0], *doubtful)]
         words, names, _ = exchanged_bands(some, strip.surface, RecoverOptions().search_px)
-        # only of lost ones: the others match as they are
+        # only of lost or far ones: the others match as they are
         if words and some[0].name not in names:
-            out.append(f"{' and '.join(names)} match nothing: {words}")
+            both = {strip.bands[b].name for b in lost} >= set(names)
+            found = "match nothing" if both else "match nothing, or far from their places"
+            out.append(f"{' and '.join(names)} {found}: {words}")
             lost = np.array([b for b in lost if strip.bands[b].name not in names], dtype=int)
     return out + [
         f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
         f"nothing measures its place; {_why_unmatched(strip, int(b), matched, options)}"
         for b in lost
     ]
-
-
-def without_lost(records: Sequence[StarRecord], bands: int) -> tuple[StarRecord, ...]:
-    """The records without what little was kept of bands that look like no other, beside others that match.
-
-    Chance made it, or it lies where the search ended: a place for such a band, and a motion, no sigma owns.
-    """
-    lost = like_none(records, bands, LEAST_SHARE)
-    if not lost.any() or lost.all():
-        return tuple(records)
-    out = []
-    for record in records:
-        star = record.star
-        gone = lost[list(star.images)] | lost[star.hub]
-        status = np.where(gone & (record.status == KEPT), OUTLIER, record.status)
-        residual = np.where(gone[:, None], np.nan, star.residual_px)
-        out.append(replace(record, star=replace(star, residual_px=residual), status=status))
-    return tuple(out)
-
-
-def _tried(record: StarRecord) -> NDArray[np.bool_]:
-    """(G, K) windows that were compared: none under a mask, nor where the other image has no pixels."""
-    return ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
-
-
-def _pairs_compared(records: Sequence[StarRecord], bands: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """(bands, bands) windows of each pair that were compared, and those kept."""
-    compared, kept = np.zeros((2, bands, bands), dtype=int)
-    for record in records:
-        tried = _tried(record)
-        for k, image in enumerate(record.star.images):
-            compared[record.star.hub, image] += int(tried[:, k].sum())
-            kept[record.star.hub, image] += int(record.star.present[:, k].sum())
-    return compared + compared.T, kept + kept.T
-
-
-def like_none(records: Sequence[StarRecord], bands: int, share: float = HARDLY) -> NDArray[np.bool_]:
-    """(bands,) those that keep less than a `share` of the windows compared with each other band."""
-    compared, kept = _pairs_compared(records, bands)
-    return np.asarray(compared.any(axis=1) & (kept < share * compared + (compared == 0)).all(axis=1))
-
-
-def spoilt_hub(records: Sequence[StarRecord], bands: int) -> int | None:
-    """The band that others were compared through, though it matches hardly any; None if there is none."""
-    through = compared_through(records, bands) * like_none(records, bands)
-    return int(np.argmax(through)) if through.max() > MUCH else None
-
-
-def compared_through(records: Sequence[StarRecord], bands: int) -> NDArray[np.float64]:
-    """Of each band, the share of all windows tried that were cut from it to be found in two others or more.
-
-    There these are compared through it alone: what it does not show, they do not.
-    """
-    tried = np.zeros(bands)
-    of_all = 0
-    for record in records:
-        count = int(_tried(record).sum())
-        of_all += count
-        if len(record.star.images) > 1:
-            tried[record.star.hub] += count
-    return tried / max(of_all, 1)
 
 
 def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp], options: RecoverOptions) -> str:
@@ -483,6 +411,24 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     ]
 
 
+def _other_speed(strip: Strip, motion: Motion) -> list[str]:
+    """An even rate of pitch that lags, all some per cent longer or shorter than given, would look like."""
+    if strip.sensors or strip.control is not None or len(motion.t) < 2:
+        return []
+    camera = strip.nominal[0]
+    passing = _px_a_line(camera, strip.surface) * strip.pixel_angle / camera.detector.line_period
+    rate = float(np.polynomial.polynomial.polyfit(motion.t - motion.t.mean(), motion.angles[:, PITCH], 1)[1])
+    share = rate / passing
+    if not abs(share) > OTHER_SPEED:
+        return []
+    return [
+        f"pitch turns evenly by {rate:.3g} rad/s, {100.0 * abs(share):.2g} % of the rate at which the ground "
+        "passes: lags that are all as much longer or shorter than given look the same, and bend the motion "
+        "by more than its sigma; unless the camera turns so, check altitude and speed, line_period, "
+        "first_line_time and look_ahead"
+    ]
+
+
 def _exchanged(strip: Strip, far: Mapping[str, float]) -> str:
     """Two bands whose images look exchanged, by what is far off of each; "" if none do.
 
@@ -561,7 +507,7 @@ def strip_warnings(
         out.append(_unsettled(strip, state, changes[-1], at))
         if all(band.offset_sigma_px == 0.0 for band in strip.bands):
             out.append("band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not")
-    out += _unmatched_bands(strip, state.records, options)
+    out += _unmatched_bands(strip, state, options)
     lost = _lost_windows(state.records)
     if lost:
         out.append(lost)
@@ -574,7 +520,7 @@ def strip_warnings(
     out += blind_warnings(state)
     out += _averaged_away(strip, state) + _large_hidden(strip, state)
     out += _hidden_by_stages(strip, state, motion)
-    out += _far_off(strip, state, motion)
+    out += _far_off(strip, state, motion) + _other_speed(strip, motion)
     out += _sensor_warnings(strip, state.estimate)
     out += shape_warnings(strip, state)
     covariance = motion.covariance

@@ -113,9 +113,9 @@ def contradictions(
         if one.nees >= CONTRADICTED and chance < CONTRADICTION_CHANCE:
             said.append(
                 f"{'–'.join(one.pair)}, which the estimate did not use, contradicts it {one.axis} the lines: "
-                f"NEES {one.nees:.2g} where 1 is right, so sigmas are some {one.nees**0.5:.2g} times too "
-                f"small; look for {stages}clouds, relief that is not given ([surface] height_sigma), or a "
-                "wrong lag or line time"
+                f"NEES {one.nees:.2g} where 1 is right, so sigmas, of the motion or of its matches, are some "
+                f"{one.nees**0.5:.2g} times too small; look for {stages}clouds, relief that is not "
+                "given ([surface] height_sigma), or a wrong lag or line time"
             )
     return tuple(said)
 
