@@ -20,6 +20,8 @@ from sightline.motion.strip.hyper import (
     _blind_modes,
     _corners_elsewhere,
     _own_share,
+    _row_sigma,
+    _rows_see,
     _shown,
     _tones_elsewhere,
     angle_differences,
@@ -216,6 +218,14 @@ class TestPriorModel:
         assert _corners_elsewhere(spectra, _shown(spectra, [0.02, 0.01, 0.02])) == [None, None, None]
         # nobody shows it
         assert _corners_elsewhere(spectra, _shown(spectra, [0.2, 0.2, 0.2])) == [None, None, None]
+
+    def test_the_noise_of_a_row_is_that_of_rows_that_see_the_angle(self):
+        # of a detector one window wide most rows see no roll: what the others err by counts, however few
+        covariance = np.tile(np.diag([4.0, 1.0, np.inf]), (10, 1, 1))
+        covariance[:7, 0, 0] = np.inf
+        some = [SimpleNamespace(covariance=covariance)]
+        assert [_row_sigma(some, axis) for axis in range(3)] == [2.0, 1.0, np.inf]
+        assert [_rows_see(some, axis) for axis in range(3)] == [0.3, 1.0, 0.0]
 
     def test_tones_of_other_axes_that_an_axis_does_not_have_are_named_once(self):
         drift = (Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))

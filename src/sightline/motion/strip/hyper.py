@@ -587,7 +587,9 @@ def fit_prior_model(
     # a pixel of each axis is alike: of yaw one at the edge, larger than what shakes a stiff body
     usual = [first[best].as_found.scaled(float(size / pixel[best])) for size in pixel]
     # none where rows do not see the angles
-    together = min(own[ROLL], own[YAW]) < OWN and any(math.isfinite(row_sigma[axis]) for axis in (ROLL, YAW))
+    together = min(own[ROLL], own[YAW]) < OWN and any(
+        _rows_see(differences, axis) > 0.5 for axis in (ROLL, YAW)
+    )
     # what stages hide shows in rows by its blur, and together would be taken for quick jitter: so only
     # where one angle by itself is as loud as rows can tell, up to half their rate, which is its noise
     staged = any(s.tdi is not None for s in stars)
@@ -811,9 +813,15 @@ def _own_share(differences: Sequence[AngleDifferences]) -> Array:
 
 
 def _row_sigma(differences: Sequence[AngleDifferences], axis: int) -> float:
-    """Median sigma (rad) of one row's difference of an angle; infinite where no row sees it."""
+    """Median sigma (rad) of one row's difference of an angle, of rows that see it; infinite if none does."""
     variance = np.concatenate([d.covariance[:, axis, axis] for d in differences])
-    return float(np.sqrt(np.median(variance)))
+    seen = variance[np.isfinite(variance)]
+    return float(np.sqrt(np.median(seen))) if len(seen) else math.inf
+
+
+def _rows_see(differences: Sequence[AngleDifferences], axis: int) -> float:
+    """Share of rows that see an angle by themselves."""
+    return float(np.mean(np.concatenate([np.isfinite(d.covariance[:, axis, axis]) for d in differences])))
 
 
 def _shown(spectra: Sequence[Spectrum], row_sigma: Sequence[float]) -> list[float]:
