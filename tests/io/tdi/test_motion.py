@@ -67,7 +67,7 @@ def test_a_result_that_does_not_say_how_much_is_hidden_warns(folder, acquisition
     found = read_motion_knowledge(folder, acquisition).knowledge
     assert found.hidden is None
     assert "hidden directions (constant of roll" in found.warnings[0]
-    assert "slip_sigma" in found.warnings[0]
+    assert "sigma_slip" in found.warnings[0]
 
 
 @pytest.mark.parametrize("wrong", [[[1.0]], "big", [[None] * 6] * 6])
