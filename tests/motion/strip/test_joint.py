@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sightline.errors import EstimationError
 from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.split import split
@@ -201,6 +202,21 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool, curves: tup
     left = loose - loose @ rows.T @ np.linalg.solve(rows @ loose @ rows.T + noise, rows @ loose)
     found, want = estimate.hidden_covariance((2, 0)), sums.T @ left @ sums
     np.testing.assert_allclose(found, want, atol=2e-3 * want.max())
+
+
+def test_where_equations_do_not_bound_what_is_hidden_it_is_known_as_priors_have_it(monkeypatch) -> None:
+    """Sensitivities are exact to 1e-7: of directions that only priors bound there may be no factor."""
+    prior, _ = make_prior(False)
+    said, drifts = (0.3, 0.2, 0.4), (0.05, 0.06, 0.07)
+    loose = replace(prior, statics_sigma=np.zeros(0), ample=None, constant_sigma=said, drift_sigma=drifts)
+    estimate = solve_joint(no_information(TimeGrid(0.0, STEP, COUNT), 0), loose)
+
+    def unfactored(*_, **__):
+        raise EstimationError("not determined")
+
+    monkeypatch.setattr("sightline.motion.strip.joint.joint_factor", unfactored)
+    found = estimate.hidden_covariance((2, 0))
+    np.testing.assert_array_equal(found, np.diag(np.square([*said, drifts[2], drifts[0]])))
 
 
 def test_what_is_hidden_is_known_as_far_as_is_said_and_not_as_it_is_held() -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from sightline.errors import EstimationError
 from sightline.estimation.banded import (
     ROWS_AT_ONCE,
     BandedFactor,
@@ -516,7 +517,12 @@ class JointEstimate:
         prior = replace(self._prior.ample or self.prior, even=True)
         if self.ties is not None:
             prior = replace(prior, own_precision=self._prior.own_precision).loosened(self.ties.tied)
-        spread, _ = joint_factor(self._data, prior, constants=True).times(flat)
+        try:
+            spread, _ = joint_factor(self._data, prior, constants=True).times(flat)
+        except EstimationError:
+            # nothing but the priors bounds some of them, by less than the equations are exact to
+            sigmas = (prior.constant_sigma, prior.drift_sigma)
+            return np.diag([sigmas[shape][axis] ** 2 for shape, axis in own])
         return np.asarray(flat.T @ spread)
 
     def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:

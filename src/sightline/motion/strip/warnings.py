@@ -281,17 +281,18 @@ def _unmatched_bands(strip: Strip, state: StripState, options: RecoverOptions) -
     # those of coarse pixels first, whose windows are compared with those of fine ones
     groups = np.array(groups_of_pixels([band.camera for band in strip.bands]))
     matched, lost = np.flatnonzero(~alone), np.flatnonzero(alone & asked)
-    # and of these what lies nearest to where it should: a wide search finds another band's image too
-    off = _off_along(strip, state)
-    matched = matched[np.lexsort((off[matched], groups[matched]))]
+    matched = matched[np.argsort(groups[matched], kind="stable")]
     out = [
         f"{strip.bands[b].name} is in none of the `pairs` that are to be matched: no match of it has a part "
         "in the motion, or measures its place"
         for b in np.flatnonzero(~asked)
     ]
-    doubtful = sorted([*lost, *(b for b in matched[1:] if off[b] > FAR_OFF)])
-    if len(matched) and len(lost) and len(doubtful) > 1:
-        some = [strip.bands[b] for b in (matched[0], *doubtful)]
+    # a wide search finds another band's image too: of such as match, the one nearest to its place is sound
+    off = _off_along(strip, state)
+    sound = min(matched, key=lambda b: (groups[b], off[b]), default=None)
+    doubtful = sorted([*lost, *(b for b in matched if b != sound and off[b] > FAR_OFF)])
+    if sound is not None and len(lost) and len(doubtful) > 1:
+        some = [strip.bands[b] for b in (sound, *doubtful)]
         words, names, _ = exchanged_bands(some, strip.surface, RecoverOptions().search_px)
         # only of lost or far ones: the others match as they are
         if words and some[0].name not in names:
