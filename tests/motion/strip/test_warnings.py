@@ -72,7 +72,7 @@ def test_what_was_found_far_from_what_was_given_is_named():
 
 
 def test_an_even_rate_of_pitch_that_a_wrong_speed_would_look_like_is_said():
-    scene = line_of_sight_case("nominal", 0, lines=200, columns=80)
+    scene = line_of_sight_case("nominal", 0, lines=900, columns=80)
     strip = prepared(scene.as_given(), Plane(0.0), RecoverOptions())
     # the ground passes by a pixel of 5 urad in .5 ms
     t = np.arange(3.0)
@@ -83,6 +83,9 @@ def test_an_even_rate_of_pitch_that_a_wrong_speed_would_look_like_is_said():
     assert _other_speed(strip, turning(2.5e-4)) == []
     (said,) = _other_speed(strip, turning(-5e-4))
     assert said.startswith("pitch turns evenly by -0.0005 rad/s, 5 % of the rate")
+    # offsets known to 6 px pass for 3 x sqrt(2) x 30 urad over the longest lag, .172 s
+    loose = replace(strip, bands=tuple(replace(band, offset_sigma_px=6.0) for band in strip.bands))
+    assert _other_speed(loose, turning(-5e-4)) == [] != _other_speed(loose, turning(-1e-3))
     # what ties the attitude tells it from a wrong speed
     sensors: Any = ("gyro",)
     assert _other_speed(replace(strip, sensors=sensors), turning(-5e-4)) == []

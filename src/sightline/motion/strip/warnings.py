@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -35,7 +36,7 @@ from sightline.motion.strip.lost_bands import (
     pairs_compared,
 )
 from sightline.motion.strip.shape import shape_warnings
-from sightline.motion.strip.strip import RecoverOptions, Strip
+from sightline.motion.strip.strip import RecoverOptions, Strip, longest_lag
 from sightline.motion.strip.viewing_axes import turned_spectra
 
 Array = NDArray[np.float64]
@@ -420,7 +421,13 @@ def _other_speed(strip: Strip, motion: Motion) -> list[str]:
     passing = _px_a_line(camera, strip.surface) * strip.pixel_angle / camera.detector.line_period
     rate = float(np.polynomial.polynomial.polyfit(motion.t - motion.t.mean(), motion.angles[:, PITCH], 1)[1])
     share = rate / passing
-    if not abs(share) > OTHER_SPEED:
+    # over short lags offsets that are not known look alike, and no more is said of them
+    finest = min(camera.detector.line_period for camera in strip.nominal)
+    loose = max(
+        b.offset_sigma_px * c.detector.pixel_step for b, c in zip(strip.bands, strip.nominal, strict=True)
+    )
+    lag = finest * longest_lag(strip.nominal, strip.surface)
+    if not (abs(share) > OTHER_SPEED and abs(rate) * lag > FAR_OFF * math.sqrt(2.0) * loose):
         return []
     return [
         f"pitch turns evenly by {rate:.3g} rad/s, {100.0 * abs(share):.2g} % of the rate at which the ground "
