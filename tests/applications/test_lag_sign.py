@@ -133,7 +133,6 @@ def test_a_recovered_strip_warns_of_it_unless_sensors_tie_the_motion(monkeypatch
     @dataclass(frozen=True)
     class Found:
         warnings: tuple[str, ...] = ("other",)
-        withheld: tuple[Any, ...] = ()
 
     monkeypatch.setattr(line_of_sight, "recover_line_of_sight", lambda *_, **__: Found())
     monkeypatch.setattr(lag_sign, "wrong_lag_sign", lambda *_, **__: "wrong sign")

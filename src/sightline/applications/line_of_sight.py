@@ -95,7 +95,13 @@ from sightline.motion.strip.viewing_axes import (
     turned_star,
 )
 from sightline.motion.strip.warnings import control_warnings, strip_warnings
-from sightline.motion.strip.withheld import contradictions, judged, withheld_numbers, without_pairs
+from sightline.motion.strip.withheld import (
+    contradictions,
+    judged,
+    unjudged,
+    withheld_numbers,
+    without_pairs,
+)
 from sightline.motion.tones import hann
 from sightline.result import makes_result
 from sightline.stages import Stages
@@ -363,6 +369,7 @@ def joint_line_of_sight(
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state))
     tdi = any(band.camera.stages is not None for band in strip.bands)
     warnings = (*result.warnings, *warnings, *contradictions(withheld, tdi=tdi, sensors=bool(result.sensors)))
+    warnings = (*warnings, *unjudged(options.withhold, withheld))
     return strip, state, replace(result, differences=differences, warnings=warnings)
 
 

@@ -147,7 +147,6 @@ def recover_acquisition(
     from sightline.errors import InputError
     from sightline.motion.frames.passes import FrameOptions
     from sightline.motion.strip.strip import RecoverOptions
-    from sightline.motion.strip.withheld import unjudged
 
     if stages is not None:
         stages.depend(acquired.inputs)
@@ -204,7 +203,6 @@ def recover_acquisition(
         progress=report,
         stages=stages,
     )
-    result = replace(result, warnings=(*result.warnings, *unjudged(withhold, result.withheld)))
     if acquired.sensors or acquired.control_points is not None:
         return result  # with these the motion is tied to more than bands
     said = wrong_lag_sign(

@@ -384,13 +384,11 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     half = 0.5 * strip.grid.step * max(strip.grid.count - 1, 1)
     turns = (state.prior.constant_sigma[YAW], state.prior.drift_sigma[YAW] / half)
     allowed = [(s, s, max(s, turn)) for s, turn in zip(strip.known.usual(), turns, strict=True)]
-    t = motion.t - motion.t.mean()
-    lines = np.polynomial.polynomial.polyfit(t, motion.angles, 1) if len(t) > 1 else motion.angles
     kinds = (
         ("a constant {} of {:.3g} rad", allowed[0]),
         ("an even rate of {} of {:.3g} rad/s", allowed[1]),
     )
-    for (words, sigmas), values in zip(kinds, lines, strict=False):
+    for (words, sigmas), values in zip(kinds, _constants_and_rates(motion), strict=False):
         for axis, value, sigma in zip(("roll", "pitch", "yaw"), values.tolist(), sigmas, strict=True):
             if abs(value) > FAR_OFF * sigma > 0.0:
                 said.append(f"{words.format(axis, value)} ({abs(value) / sigma:.2g} sigmas)")
@@ -413,13 +411,19 @@ def _far_off(strip: Strip, state: StripState, motion: Motion) -> list[str]:
     ]
 
 
+def _constants_and_rates(motion: Motion) -> Array:
+    """(2, 3) rad, rad/s; of each angle the line through it, in mid-strip; (1, 3) of a single instant."""
+    t = motion.t - motion.t.mean()
+    return np.polynomial.polynomial.polyfit(t, motion.angles, 1) if len(t) > 1 else motion.angles
+
+
 def _other_speed(strip: Strip, motion: Motion) -> list[str]:
     """An even rate of pitch that lags, all some per cent longer or shorter than given, would look like."""
     if strip.sensors or strip.control is not None or len(motion.t) < 2:
         return []
     camera = strip.nominal[0]
     passing = _px_a_line(camera, strip.surface) * strip.pixel_angle / camera.detector.line_period
-    rate = float(np.polynomial.polynomial.polyfit(motion.t - motion.t.mean(), motion.angles[:, PITCH], 1)[1])
+    rate = float(_constants_and_rates(motion)[1, PITCH])
     share = rate / passing
     # over short lags offsets that are not known look alike, and no more is said of them
     finest = min(camera.detector.line_period for camera in strip.nominal)

@@ -276,7 +276,7 @@ def compared(
     """
     grains = groups_of_pixels(strip.nominal)
     hub, partner = sorted(pair, key=lambda image: grains[image])  # the coarser one is the matching grid
-    view = common_views([strip.nominal[hub], strip.nominal[partner]], strip.surface)
+    view = _view(strip, hub, partner)
     record = _matched(strip, state, options, (hub, partner), view[0, 1], most, cameras)
     if record is None:
         return None
